@@ -1,0 +1,73 @@
+"""Facts about logged trajectories, to look at before learning from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from guider.episodes import Episodes
+
+_WINDOWS = (1, 5, 10, 20, 50, 100)
+_STILL_FRACTION = 1e-3
+
+
+def describe(episodes: Episodes) -> dict[str, Any]:
+    """Numbers, strings and lists only, so that it can be written as JSON.
+
+    `state_range` is [lowest, highest] of each state entry, `goal_range` of each goal-space entry.
+    `goal_travel` says how far states that lie `steps` rows apart in one episode are from each other in goal
+    space: the median distance, and the fraction that stay within a thousandth of the goal space the data
+    covers. It helps to choose a subgoal period and to see data that stands still. Periods longer than every
+    episode are left out.
+    """
+    achieved = episodes.achieved
+    low, high = episodes.observations.min(axis=0), episodes.observations.max(axis=0)
+    indices = list(episodes.goal_indices)
+    lengths = episodes.lengths
+    extent = float(np.linalg.norm(high[indices] - low[indices]))
+    return {
+        "source": episodes.source,
+        "fingerprint": episodes.fingerprint(),
+        "rows": len(episodes.observations),
+        "transitions": int(np.sum(lengths - 1)),
+        "episodes": len(lengths),
+        "episode_length": {
+            "min": int(lengths.min()),
+            "median": float(np.median(lengths)),
+            "max": int(lengths.max()),
+        },
+        "state_dim": episodes.observations.shape[1],
+        "action_dim": episodes.actions.shape[1],
+        "goal_indices": indices,
+        "state_range": _pairs(low, high),
+        "constant_state_entries": [int(i) for i in np.flatnonzero(low == high)],
+        "goal_range": _pairs(low[indices], high[indices]),
+        "action_bounds": _pairs(episodes.action_low, episodes.action_high),
+        "recorded_goals": episodes.goals is not None,
+        "goal_travel": [
+            _travel(achieved, episodes.last_rows, steps, extent)
+            for steps in _WINDOWS
+            if steps < lengths.max()
+        ],
+    }
+
+
+def _travel(achieved: np.ndarray, last_rows: np.ndarray, steps: int, extent: float) -> dict[str, Any]:
+    first = np.flatnonzero(np.arange(len(achieved)) + steps <= last_rows)
+    distances = np.linalg.norm(achieved[first + steps] - achieved[first], axis=1)
+    return {
+        "steps": steps,
+        "windows": len(first),
+        "median_distance": _round(np.median(distances)),
+        "still_fraction": _round(np.mean(distances <= _STILL_FRACTION * extent)),
+    }
+
+
+def _pairs(low: np.ndarray, high: np.ndarray) -> list[list[float]]:
+    return [[_round(a), _round(b)] for a, b in zip(low, high, strict=True)]
+
+
+def _round(value: np.floating | float) -> float:
+    """Six significant digits: more than anyone reads, and what float32 holds."""
+    return float(f"{float(value):.6g}")

@@ -1,0 +1,173 @@
+"""Named arrays in one HDF5 or npz file, read with checks; nothing here knows about episodes."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from guider.errors import GuiderError
+
+_DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, zlib.error, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class Store:
+    """An open file of arrays. Every read raises GuiderError, naming the file and the key, where it fails.
+
+    source: the file's path, for messages
+    kind:   "HDF5" or "npz"
+    keys:   names of the arrays in it; a group's are joined by '/', as in 'infos/goal'
+    """
+
+    source: str
+    kind: str
+    keys: tuple[str, ...]
+    file: h5py.File | np.lib.npyio.NpzFile
+
+    def fail(self, message: str) -> GuiderError:
+        """The error to raise, with the file's name in front."""
+        return GuiderError(f"{self.source}: {message}")
+
+    def require(self, *keys: str) -> None:
+        """Raise unless all these arrays are present; the message names those missing and those found."""
+        missing = [key for key in keys if key not in self.keys]
+        if missing:
+            raise self.fail(f"missing {', '.join(missing)}; the file holds {describe_keys(self.keys)}")
+
+    def width(self, key: str) -> int:
+        """Columns of a 2-D array; 0 if it has another shape."""
+        try:
+            shape = self.file[key].shape  # pyright: ignore[reportAttributeAccessIssue]
+        except _DAMAGED as error:
+            raise self._unreadable(key, error) from error
+        return shape[1] if len(shape) == 2 else 0
+
+    def matrix(self, key: str) -> np.ndarray:
+        """[rows, columns] float32, at least one of each. HDF5 is converted as it is read: no second copy."""
+        self.require(key)
+        try:
+            array = self.file[key]
+            shape, dtype = array.shape, array.dtype  # pyright: ignore[reportAttributeAccessIssue]
+            if len(shape) != 2 or 0 in shape or dtype.kind not in "fiu":
+                raise self.fail(
+                    f"{key} must be a non-empty 2-D array of numbers, got {dtype} of shape {shape}"
+                )
+            if isinstance(array, h5py.Dataset):
+                out = np.empty(shape, np.float32)
+                array.read_direct(out)
+                return out
+            with np.errstate(over="ignore"):
+                return np.ascontiguousarray(array, np.float32)
+        except _DAMAGED as error:
+            raise self._unreadable(key, error) from error
+
+    def vector(self, key: str) -> np.ndarray:
+        """[entries] of numbers or booleans, in the file's own type; a single number is one entry."""
+        self.require(key)
+        try:
+            array = np.asarray(self.file[key][()])  # pyright: ignore[reportIndexIssue]
+        except _DAMAGED as error:
+            raise self._unreadable(key, error) from error
+        if array.ndim == 2 and array.shape[1] == 1:
+            array = array[:, 0]
+        array = np.atleast_1d(array)
+        if array.ndim != 1 or array.dtype.kind not in "fiub":
+            raise self.fail(f"{key} must be a 1-D array of numbers, got {array.dtype} of shape {array.shape}")
+        return array
+
+    def flags(self, key: str, rows: int) -> np.ndarray:
+        """[rows] bool: one flag per row."""
+        array = self.vector(key)
+        if len(array) != rows:
+            raise self.fail(f"{key} has {len(array)} entries but observations have {rows} rows")
+        return array.astype(bool)
+
+    def _unreadable(self, key: str, error: Exception) -> GuiderError:
+        if "allow_pickle" in str(error):
+            return self.fail(
+                f"{key} holds Python objects, which are never unpickled because that can run code; "
+                "save it as an array of numbers"
+            )
+        return self.fail(f"cannot read {key}: the file is damaged or cut off ({error})")
+
+
+def describe_keys(keys: tuple[str, ...]) -> str:
+    """The names found in a file, shortened, for an error message."""
+    if not keys:
+        return "no arrays"
+    return ", ".join(keys[:12]) + (f" and {len(keys) - 12} more" if len(keys) > 12 else "")
+
+
+@contextmanager
+def open_store(path: Path) -> Iterator[Store]:
+    """Open an HDF5 or npz file, told apart by content, not by name.
+
+    npz is read without pickle: object arrays are refused. Raises GuiderError if the path does not exist, is
+    neither kind of file, or is cut off.
+    """
+    if not path.is_file():
+        raise GuiderError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+    except OSError as error:
+        raise GuiderError(f"{path}: cannot be read ({error.strerror})") from error
+    if not head:
+        raise GuiderError(f"{path}: the file is empty")
+    is_npz = head[:2] == b"PK"
+    if not is_npz and not h5py.is_hdf5(path):
+        raise GuiderError(f"{path}: neither an HDF5 file nor an npz archive")
+    try:
+        file = np.load(path, allow_pickle=False) if is_npz else h5py.File(path, "r")
+    except _DAMAGED as error:
+        raise GuiderError(f"{path}: the file is damaged or cut off ({error})") from error
+    with file:
+        if isinstance(file, h5py.File):
+            yield Store(str(path), "HDF5", _hdf5_keys(file), file)
+        else:
+            yield Store(str(path), "npz", tuple(file.files), file)
+
+
+def _hdf5_keys(file: h5py.File) -> tuple[str, ...]:
+    keys: list[str] = []
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            keys.append(name)
+
+    file.visititems(visit)
+    return tuple(keys)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a reader found, not yet validated.
+
+    observations: [rows, state_dim] float32
+    actions:      [rows, action_dim] float32, one row per state; the last row of an episode is not read
+    lengths:      [episodes] states per episode
+    goals:        [rows, goal_dim] float32, or None where none are recorded for this goal space
+    action_low, action_high: [action_dim], or None where the source does not say
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    lengths: np.ndarray
+    goals: np.ndarray | None = None
+    action_low: np.ndarray | None = None
+    action_high: np.ndarray | None = None
+
+
+def lengths_from_ends(ends: np.ndarray) -> np.ndarray:
+    """[episodes] int64 states per episode, from [rows] bool: True on the last row of each. The last row of
+    all ends an episode whether it is marked or not."""
+    ends = ends.copy()
+    ends[-1] = True
+    return np.diff(np.flatnonzero(ends), prepend=-1)

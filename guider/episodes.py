@@ -1,0 +1,232 @@
+"""Logged trajectories: one immutable, validated container that every source fills and every sampler reads."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from guider.errors import GuiderError
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Ragged episodes, laid end to end.
+
+    An episode is N states and the N - 1 transitions between them: `actions[t]` leads from row t to row t + 1,
+    and the action in the last row of an episode is never read. Build it with `make_episodes`, which checks.
+
+    observations: [rows, state_dim] float32
+    actions:      [rows, action_dim] float32
+    starts:       [episodes] int64, first row of each episode; starts[0] == 0
+    goal_indices: the state entries that make up the goal space, s^G = phi(s) = s[goal_indices]
+    goals:        [rows, goal_dim] float32, the goal recorded with each row, or None
+    action_low, action_high: [action_dim] float32, bounds of a valid action
+    source:       where the data came from, for people to read
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    starts: np.ndarray
+    goal_indices: tuple[int, ...]
+    goals: np.ndarray | None
+    action_low: np.ndarray
+    action_high: np.ndarray
+    source: str
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """[episodes] number of states in each episode."""
+        return np.diff(np.append(self.starts, len(self.observations)))
+
+    @property
+    def last_rows(self) -> np.ndarray:
+        """[rows] int32: for each row, the last row of its episode."""
+        lengths = self.lengths
+        return np.repeat(self.starts + lengths - 1, lengths).astype(np.int32)
+
+    @property
+    def achieved(self) -> np.ndarray:
+        """[rows, goal_dim]: s^G of every state."""
+        return self.observations[:, list(self.goal_indices)]
+
+    def fingerprint(self) -> str:
+        """Hex digest of everything a learner sees; equal data has equal fingerprints, whatever its source."""
+        digest = hashlib.sha256(repr(self.goal_indices).encode())
+        for array in (
+            self.observations,
+            self.actions,
+            self.starts,
+            self.goals,
+            self.action_low,
+            self.action_high,
+        ):
+            if array is None:
+                digest.update(b"none")
+                continue
+            digest.update(f"{array.shape}{array.dtype}".encode())
+            digest.update(np.ascontiguousarray(array).data.cast("B"))
+        return digest.hexdigest()[:16]
+
+    def select(self, episodes: np.ndarray) -> Episodes:
+        """The given episodes (indices, in the given order) as data of their own."""
+        starts, lengths = self.starts[episodes], self.lengths[episodes]
+        rows = np.concatenate([np.arange(a, a + n) for a, n in zip(starts, lengths, strict=True)])
+        return replace(
+            self,
+            observations=self.observations[rows],
+            actions=self.actions[rows],
+            goals=None if self.goals is None else self.goals[rows],
+            starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
+        )
+
+    def split(self, held_out: float) -> tuple[Episodes, Episodes]:
+        """(training, held-out) episodes; the same `held_out` fraction always holds out the same episodes."""
+        count = len(self.starts)
+        n_held = round(held_out * count)
+        if not 0 < n_held < count:
+            raise GuiderError(
+                f"{self.source}: cannot hold out {held_out:.0%} of {count} episodes; "
+                "at least one must be held out and one must remain"
+            )
+        order = np.random.default_rng(0).permutation(count)
+        return self.select(np.sort(order[n_held:])), self.select(np.sort(order[:n_held]))
+
+
+def make_episodes(
+    observations: np.ndarray,
+    actions: np.ndarray,
+    lengths: np.ndarray | list[int],
+    goal_indices: tuple[int, ...] | list[int],
+    *,
+    goals: np.ndarray | None = None,
+    action_low: np.ndarray | float | None = None,
+    action_high: np.ndarray | float | None = None,
+    source: str = "arrays in memory",
+) -> Episodes:
+    """Validate flat arrays and make Episodes of them.
+
+    observations: [rows, state_dim]; actions: [rows, action_dim], one row per state;
+    lengths: [episodes] states per episode, sum == rows. Episodes of a single state hold no transition and
+    are dropped. The action in the last row of an episode may be anything, NaN too: it is set to 0, so that
+    equal data are equal whatever a source writes there. Action bounds that are not given are inferred:
+    [-1, 1] where all actions lie within it, else the extremes seen.
+
+    Raises GuiderError, naming `source` and the offending array, on NaN or inf, wrong shapes, lengths that
+    disagree, goal indices out of range, actions outside the bounds given, or no episode of two states.
+    """
+
+    def fail(message: str) -> GuiderError:
+        return GuiderError(f"{source}: {message}")
+
+    observations = _as_float32(observations, "observations", fail)
+    actions = _numbers(actions, "actions", fail)
+    goals = None if goals is None else _as_float32(goals, "goals", fail)
+    lengths = np.asarray(lengths)
+
+    rows, state_dim = observations.shape
+    if len(actions) != rows:
+        raise fail(
+            f"observations have {rows} rows but actions {len(actions)}; give one action row per state "
+            "(the last of an episode is ignored)"
+        )
+    if lengths.ndim != 1 or lengths.dtype.kind not in "iu" or np.any((lengths < 1) | (lengths > rows)):
+        raise fail(
+            f"episode lengths must be a 1-D array of whole numbers from 1 to {rows}, the number of rows"
+        )
+    if lengths.sum() != rows:
+        raise fail(f"episode lengths sum to {lengths.sum()} but there are {rows} rows")
+    lengths = lengths.astype(np.int64)
+    goal_indices = check_goal_indices(goal_indices, state_dim, source)
+    if goals is not None and goals.shape != (rows, len(goal_indices)):
+        raise fail(f"goals have shape {goals.shape}, expected {(rows, len(goal_indices))}: one goal per row")
+
+    is_action = np.ones((rows, 1), bool)
+    is_action[np.cumsum(lengths) - 1] = False
+    actions = np.where(is_action, actions, np.float32(0))
+    _check_finite(actions, "actions", fail)
+
+    if np.any(lengths < 2):
+        keep = np.repeat(lengths >= 2, lengths)
+        observations, actions, is_action = observations[keep], actions[keep], is_action[keep]
+        goals = None if goals is None else goals[keep]
+        lengths = lengths[lengths >= 2]
+    if len(lengths) == 0:
+        raise fail("no episode has two states, so there is no transition to learn from")
+
+    low, high = _action_bounds(actions[is_action[:, 0]], action_low, action_high, fail)
+    return Episodes(
+        observations=observations,
+        actions=actions,
+        starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
+        goal_indices=goal_indices,
+        goals=goals,
+        action_low=low,
+        action_high=high,
+        source=source,
+    )
+
+
+def check_goal_indices(goal_indices: Sequence[int], state_dim: int, source: str) -> tuple[int, ...]:
+    """The indices as ints. Raises GuiderError unless they name entries of a state, each once."""
+    indices = tuple(int(i) for i in goal_indices)
+    if not indices or len(set(indices)) != len(indices):
+        raise GuiderError(f"{source}: goal indices {indices} must name at least one state entry, each once")
+    if min(indices) < 0 or max(indices) >= state_dim:
+        raise GuiderError(
+            f"{source}: goal indices {indices} must lie in 0..{state_dim - 1}, the entries of a state"
+        )
+    return indices
+
+
+def _as_float32(array: np.ndarray, name: str, fail) -> np.ndarray:
+    array = _numbers(array, name, fail)
+    _check_finite(array, name, fail)
+    return array
+
+
+def _numbers(array: np.ndarray, name: str, fail) -> np.ndarray:
+    array = np.asarray(array)
+    if array.ndim != 2 or 0 in array.shape or array.dtype.kind not in "fiu":
+        raise fail(
+            f"{name} must be a non-empty 2-D array of numbers, got {array.dtype} of shape {array.shape}"
+        )
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _check_finite(array: np.ndarray, name: str, fail) -> None:
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        raise fail(f"{name} hold NaN or inf in {np.sum(~finite)} rows, first in row {np.argmin(finite)}")
+
+
+def _action_bounds(actions: np.ndarray, low, high, fail) -> tuple[np.ndarray, np.ndarray]:
+    seen_low, seen_high = actions.min(axis=0), actions.max(axis=0)
+    in_unit_box = bool(np.all(seen_low >= -1) and np.all(seen_high <= 1))
+    if low is None:
+        low = -1.0 if in_unit_box else seen_low
+    if high is None:
+        high = 1.0 if in_unit_box else seen_high
+    low, high = np.asarray(low, np.float32), np.asarray(high, np.float32)
+    for bound in (low, high):
+        if bound.shape not in ((), (1,), seen_low.shape):
+            raise fail(f"action bounds have shape {bound.shape}, expected {seen_low.shape} or one number")
+    low = np.broadcast_to(low, seen_low.shape).copy()
+    high = np.broadcast_to(high, seen_high.shape).copy()
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise fail("action bounds hold NaN or inf")
+    if np.any(low >= high):
+        entry = int(np.argmax(low >= high))
+        raise fail(f"action entry {entry} has bounds [{low[entry]:g}, {high[entry]:g}]: it never changes")
+    tolerance = 1e-4 * (high - low)
+    outside = (seen_low < low - tolerance) | (seen_high > high + tolerance)
+    if outside.any():
+        entry = int(np.argmax(outside))
+        raise fail(
+            f"action entry {entry} spans [{seen_low[entry]:g}, {seen_high[entry]:g}], outside its bounds "
+            f"[{low[entry]:g}, {high[entry]:g}]"
+        )
+    return low, high

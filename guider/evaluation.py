@@ -1,0 +1,134 @@
+"""Seeded rollouts of a policy in many environments at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from guider.policy import Policy, compiled_act, initial_state
+from guider.tasks.types import Task
+
+MAX_COPIES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One episode as it went, for pictures. achieved, subgoals: [steps, G]; goal: [G]; renewed: [steps] bool,
+    True where the policy chose a new subgoal."""
+
+    achieved: np.ndarray
+    subgoals: np.ndarray
+    renewed: np.ndarray
+    goal: np.ndarray
+    success: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """Outcomes of E episodes. success: [E] bool; steps: [E] until the goal was met, or the horizon."""
+
+    success: np.ndarray
+    steps: np.ndarray
+    traces: tuple[Trace, ...]
+
+
+def rollout(
+    policy: Policy,
+    task: Task,
+    episodes: int,
+    first_seed: int,
+    *,
+    keep_traces: int = 0,
+    on_steps: Callable[[int, int], None] = lambda done, total: None,
+) -> Rollouts:
+    """Run `episodes` episodes; episode e is wholly determined by the policy and seed first_seed + e.
+
+    An episode ends when its goal is met (distance <= task.radius after a step) or after task.horizon_steps.
+    keep_traces: how many episodes, the first ones, to record. on_steps(done, total) reports progress.
+    """
+    copies = min(episodes, MAX_COPIES)
+    env = task.make_env(copies)
+    try:
+        batches = []
+        for first in range(0, episodes, copies):
+            seeds = first_seed + first + np.arange(copies)
+            batch = _rollout_batch(
+                policy, task, env, seeds, max(0, keep_traces - first), lambda t, f=first: on_steps(f * task.horizon_steps // copies + t, -(-episodes // copies) * task.horizon_steps)
+            )
+            batches.append(batch)
+    finally:
+        env.close()
+    return Rollouts(
+        success=np.concatenate([b.success for b in batches])[:episodes],
+        steps=np.concatenate([b.steps for b in batches])[:episodes],
+        traces=tuple(t for b in batches for t in b.traces)[:keep_traces],
+    )
+
+
+def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
+    goal_indices = list(task.goal_indices)
+    observation, goal = env.reset(seeds)
+    device_goal = jnp.asarray(goal)
+    acting = initial_state(policy, env.count)
+    active = np.ones(env.count, bool)
+    success = np.zeros(env.count, bool)
+    steps = np.full(env.count, task.horizon_steps)
+    reset_mask = jnp.ones(env.count, bool)
+    no_reset = jnp.zeros(env.count, bool)
+    history = []
+    for step in range(task.horizon_steps):
+        actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
+        if keep_traces:
+            history.append((observation[:keep_traces, goal_indices].copy(), np.asarray(acting.subgoal[:keep_traces]), np.asarray(acting.steps_left[:keep_traces])))
+        observation = env.step(np.asarray(actions), active)
+        met = active & (np.linalg.norm(observation[:, goal_indices] - goal, axis=1) <= task.radius)
+        success |= met
+        steps[met] = step + 1
+        active &= ~met
+        reset_mask = no_reset
+        on_step(step + 1)
+        if not active.any():
+            break
+    return Rollouts(success, steps, _traces(history, success, steps, goal, policy.config.period_steps))
+
+
+def _traces(history, success, steps, goal, period_steps) -> tuple[Trace, ...]:
+    if not history:
+        return ()
+    achieved, subgoals, steps_left = (np.stack(arrays, axis=1) for arrays in zip(*history, strict=True))
+    return tuple(
+        Trace(
+            achieved=achieved[e, : steps[e]],
+            subgoals=subgoals[e, : steps[e]],
+            renewed=steps_left[e, : steps[e]] == period_steps - 1,
+            goal=goal[e],
+            success=bool(success[e]),
+        )
+        for e in range(len(achieved))
+    )
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % score interval of a success rate (Wilson 1927), as fractions."""
+    z = 1.959964
+    rate = successes / trials
+    centre = (rate + z**2 / (2 * trials)) / (1 + z**2 / trials)
+    half = z / (1 + z**2 / trials) * np.sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
+    return float(centre - half), float(centre + half)
+
+
+def bootstrap_interval(success: np.ndarray, resamples: int = 2000) -> tuple[float, float]:
+    """95 % percentile interval of the mean over seeds; seeds, then episodes within them, are resampled.
+
+    success: [seeds, episodes].
+    """
+    rng = np.random.default_rng(0)
+    seeds, episodes = success.shape
+    chosen = rng.integers(seeds, size=(resamples, seeds))
+    rates = success.mean(axis=1)[chosen]
+    means = (rng.binomial(episodes, rates) / episodes).mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)

@@ -1,0 +1,113 @@
+"""The latent model of subgoals reachable within c steps (Section 4.2, Eq. 2-3, Algorithm 1 lines 1-4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from guider import losses
+from guider.methods.scaling import Scale
+from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
+from guider.samplers import Windows
+
+Metrics = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class LatentSubgoalsConfig:
+    """Settings of Eq. 2-3. Defaults are the authors' (preset `paper`).
+
+    beta weighs the KL (nats, mean over latent dimensions) against the squared error (goal units squared,
+    mean over goal dimensions); kl_balance is tau of Eq. 3.
+    """
+
+    updates: int = 500_000
+    batch_size: int = 100
+    learning_rate: float = 3e-4
+    latent_dim: int = 2
+    hidden: tuple[int, ...] = (256, 256, 256)
+    beta: float = 0.1
+    kl_balance: float = 0.8
+    decoder_dropout: float = 0.1
+    relative: bool = False
+    """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
+
+
+class LatentParams(NamedTuple):
+    encoder: Layers
+    decoder: Layers
+    prior: Layers
+
+
+class LatentState(NamedTuple):
+    params: LatentParams
+    optimiser: optax.OptState
+
+
+def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int) -> LatentState:
+    encoder_key, decoder_key, prior_key = jax.random.split(key, 3)
+    latent = config.latent_dim
+    params = LatentParams(
+        encoder=mlp_init(encoder_key, (2 * goal_dim, *config.hidden, 2 * latent)),
+        decoder=mlp_init(decoder_key, (goal_dim + latent, *config.hidden, goal_dim)),
+        prior=mlp_init(prior_key, (goal_dim, *config.hidden, 2 * latent)),
+    )
+    return LatentState(params, optax.adam(config.learning_rate).init(params))
+
+
+def encode(
+    config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, achieved: jax.Array, later: jax.Array
+) -> Gaussian:
+    """q(z | s^G_t, s^G_{t+c}). achieved, later: [..., G] in goal units."""
+    target = (later - achieved) / scale.step_std if config.relative else scale.goal(later)
+    inputs = jnp.concatenate([scale.goal(achieved), target], axis=-1)
+    return gaussian_head(mlp(params.encoder, inputs, jax.nn.gelu))
+
+
+def decode(
+    config: LatentSubgoalsConfig,
+    params: LatentParams,
+    scale: Scale,
+    achieved: jax.Array,
+    latent: jax.Array,
+    key: jax.Array | None = None,
+) -> jax.Array:
+    """Mean of p(s^G_{t+c} | s^G_t, z), [..., G] in goal units. A key switches dropout on."""
+    inputs = jnp.concatenate([scale.goal(achieved), latent], axis=-1)
+    outputs = mlp(params.decoder, inputs, jax.nn.gelu, config.decoder_dropout, key)
+    if config.relative:
+        return achieved + outputs * scale.step_std
+    return outputs * scale.goal_std + scale.goal_mean
+
+
+def prior(params: LatentParams, scale: Scale, achieved: jax.Array) -> Gaussian:
+    """rho(z | s^G_t). achieved: [..., G] in goal units."""
+    return gaussian_head(mlp(params.prior, scale.goal(achieved)))
+
+
+def loss(
+    config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, batch: Windows, key: jax.Array
+) -> tuple[jax.Array, Metrics]:
+    """Eq. 2 negated, mean over the batch."""
+    sample_key, dropout_key = jax.random.split(key)
+    posterior = encode(config, params, scale, batch.achieved, batch.later)
+    reachable = prior(params, scale, batch.achieved)
+    decoded = decode(config, params, scale, batch.achieved, posterior.sample(sample_key), dropout_key)
+    total, error, kl = losses.negative_elbo(
+        decoded, batch.later, posterior, reachable, config.beta, config.kl_balance
+    )
+    metrics = {"loss": total.mean(), "squared_error": error.mean(), "kl": kl.mean()}
+    return total.mean(), metrics
+
+
+def update(
+    config: LatentSubgoalsConfig, state: LatentState, scale: Scale, batch: Windows, key: jax.Array
+) -> tuple[LatentState, Metrics]:
+    """One step of Algorithm 1, line 3."""
+    gradients, metrics = jax.grad(lambda p: loss(config, p, scale, batch, key), has_aux=True)(state.params)
+    steps, optimiser = optax.adam(config.learning_rate).update(gradients, state.optimiser)
+    return LatentState(optax.apply_updates(state.params, steps), optimiser), metrics

@@ -1,0 +1,47 @@
+"""How raw states and goals are scaled before they enter a network."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from guider.episodes import Episodes
+
+
+class Scale(NamedTuple):
+    """Means and spreads of the data; identity where inputs are raw.
+
+    state_mean, state_std: [S]; goal_mean, goal_std: [G]; step_std: [G], spread of s^G_{t+c} - s^G_t.
+    """
+
+    state_mean: jax.Array
+    state_std: jax.Array
+    goal_mean: jax.Array
+    goal_std: jax.Array
+    step_std: jax.Array
+
+    def state(self, state: jax.Array) -> jax.Array:
+        return (state - self.state_mean) / self.state_std
+
+    def goal(self, goal: jax.Array) -> jax.Array:
+        return (goal - self.goal_mean) / self.goal_std
+
+
+def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, normalise: bool) -> Scale:
+    """Scale from the data (normalise) or the identity. starts: [W] rows that start a window of c steps."""
+    goal_dim = len(episodes.goal_indices)
+    if not normalise:
+        zeros, ones = jnp.zeros, jnp.ones
+        state_dim = episodes.observations.shape[1]
+        return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim))
+    mean = episodes.observations.mean(axis=0, dtype=np.float64)
+    std = np.maximum(episodes.observations.std(axis=0, dtype=np.float64), 1e-3)
+    goal = list(episodes.goal_indices)
+    achieved = episodes.achieved
+    later = np.minimum(starts + period_steps, episodes.last_rows[starts])
+    step_std = np.maximum(np.sqrt(np.mean((achieved[later] - achieved[starts]) ** 2, axis=0)), 1e-3)
+    arrays = (mean, std, mean[goal], std[goal], step_std)
+    return Scale(*(jnp.asarray(a, jnp.float32) for a in arrays))

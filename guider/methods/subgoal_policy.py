@@ -1,0 +1,215 @@
+"""The high-level policy that proposes subgoals (Section 4.3, Eq. 4, Algorithm 1 lines 6-12).
+
+States are images in goal space, actions are latent subgoals z. Where the authors' code and this file differ:
+the target critics start as copies of the critics; the Bellman target stops at a met goal; CQL's uniform
+samples are weighted by the density they were drawn from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from guider import losses
+from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
+
+Metrics = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class SubgoalPolicyConfig:
+    """Settings of the high level. Defaults are the authors' (preset `paper`)."""
+
+    updates: int = 200_000
+    batch_size: int = 256
+    learning_rate: float = 1e-4
+    hidden: tuple[int, ...] = (256, 256, 256)
+    discount: float = 0.99
+    """gamma per high-level step of c environment steps."""
+    target_rate: float = 0.005
+    relabel_fraction: float = 0.8
+    """Share of goals relabelled with a future state; the rest are recorded goals, where data has them."""
+    random_goal_fraction: float = 0.0
+    """Share of goals drawn from any trajectory (departure)."""
+    goal_offset: int = 0
+    """First relabelled goal is s^G_{t+c+offset}: 1 is Algorithm 1's strict range, 0 the authors' code."""
+    prior: bool = True
+    """Hold the policy to rho by the KL of Eq. 4; without, by CQL's own entropy term (Table 2, w/o prior)."""
+    target_divergence: float = 1.0
+    """alpha is tuned until KL(pi_h || rho) is this many nats, mean over latent dimensions."""
+    critic: Literal["cql", "td", "expectile"] = "cql"
+    """cql: the paper. td: no conservative term (Table 2, w/o CQL). expectile: no sampling (departure)."""
+    samples: int = 10
+    """Latents drawn from each of CQL's three proposals, and for the max-Q backup."""
+    lagrange_threshold: float | None = 5.0
+    """Conservative gap above which CQL's weight grows; None keeps the weight fixed (departure)."""
+    conservative_weight: float = 1.0
+    expectile: float = 0.7
+    """Only for the expectile critic."""
+    cap_targets: bool = False
+    """Keep Bellman targets within the values that rewards of -1 and 0 allow (departure)."""
+
+
+class Params(NamedTuple):
+    """`value` only serves the expectile critic, `lagrange` only CQL's; both are carried always."""
+
+    actor: Layers
+    critic: Layers
+    value: Layers
+    log_alpha: jax.Array
+    log_lagrange: jax.Array
+
+
+class SubgoalPolicyState(NamedTuple):
+    params: Params
+    target_critic: Layers
+    optimiser: optax.OptState
+
+
+class Transitions(NamedTuple):
+    """Relabelled transitions as the networks see them (Algorithm 1, line 10).
+
+    state, next_state: [B, 2G] scaled (s^G, g_final); latent: [B, Z]; reward: [B], 0 where the goal is met
+    after the step, else -1; prior: rho(z | s^G_t).
+    """
+
+    state: jax.Array
+    latent: jax.Array
+    reward: jax.Array
+    next_state: jax.Array
+    prior: Gaussian
+
+
+def init(key: jax.Array, config: SubgoalPolicyConfig, goal_dim: int, latent_dim: int) -> SubgoalPolicyState:
+    actor_key, critic_key, value_key = jax.random.split(key, 3)
+    state_dim = 2 * goal_dim
+    params = Params(
+        actor=mlp_init(actor_key, (state_dim, *config.hidden, 2 * latent_dim)),
+        critic=twin_init(critic_key, (state_dim + latent_dim, *config.hidden, 1)),
+        value=mlp_init(value_key, (state_dim, *config.hidden, 1)),
+        log_alpha=jnp.zeros(()),
+        log_lagrange=jnp.zeros(()),
+    )
+    return SubgoalPolicyState(params, params.critic, optax.adam(config.learning_rate).init(params))
+
+
+def propose(params: Params, state: jax.Array) -> Gaussian:
+    """pi_h(z | s^G, g_final). state: [..., 2G] scaled (s^G, g_final)."""
+    return gaussian_head(mlp(params.actor, state))
+
+
+def _cap(config: SubgoalPolicyConfig, target: jax.Array) -> jax.Array:
+    return jnp.clip(target, -1 / (1 - config.discount), 0.0) if config.cap_targets else target
+
+
+def _sampled_critic_loss(
+    config: SubgoalPolicyConfig, params: Params, target_critic: Layers, batch: Transitions, key: jax.Array
+) -> tuple[jax.Array, Metrics]:
+    """Algorithm 1, line 11, with CQL (Kumar et al. 2020) or without.
+
+    TD error towards r + gamma * max over `samples` latents of the smaller target critic (max-Q backup);
+    CQL adds the conservative gap over uniform, next-state and current policy samples. Sum over the twins.
+    """
+    next_key, now_key, uniform_key = jax.random.split(key, 3)
+    draws = (config.samples,)
+    next_policy = jax.lax.stop_gradient(propose(params, batch.next_state))
+    next_latents = next_policy.sample(next_key, draws).swapaxes(0, 1)
+    next_value = twin_values(target_critic, batch.next_state, next_latents).min(axis=0).max(axis=-1)
+    target = _cap(config, losses.td_target(batch.reward, next_value, config.discount))
+    metrics = {"target": target.mean()}
+
+    if config.critic == "td":
+        values = twin_values(params.critic, batch.state, batch.latent)
+        td = ((values - target) ** 2).mean(axis=-1).sum()
+        return td, metrics | {"td_error": td, "value": values.mean()}
+
+    policy = jax.lax.stop_gradient(propose(params, batch.state))
+    now_latents = policy.sample(now_key, draws).swapaxes(0, 1)
+    low, high = batch.latent.min(axis=0), batch.latent.max(axis=0)
+    uniform = jax.random.uniform(uniform_key, now_latents.shape, minval=low, maxval=high)
+    samples = jnp.concatenate([uniform, next_latents, now_latents], axis=1)
+    log_density = jnp.concatenate(
+        [
+            jnp.full(uniform.shape[:2], -jnp.log(high - low).sum()),
+            Gaussian(next_policy.mean[:, None], next_policy.log_std[:, None]).log_prob(next_latents),
+            Gaussian(policy.mean[:, None], policy.log_std[:, None]).log_prob(now_latents),
+        ],
+        axis=1,
+    )
+    fused = twin_values(params.critic, batch.state, jnp.concatenate([batch.latent[:, None], samples], axis=1))
+    values, sampled = fused[..., 0], fused[..., 1:]
+    td = ((values - target) ** 2).mean(axis=-1).sum()
+    gap = losses.conservative_gap(sampled, log_density, values).mean(axis=-1)
+    metrics |= {"td_error": td, "value": values.mean(), "conservative_gap": gap.mean()}
+    if config.lagrange_threshold is None:
+        return td + config.conservative_weight * gap.sum(), metrics
+    excess = config.conservative_weight * gap - config.lagrange_threshold
+    lagrange = jnp.clip(jnp.exp(params.log_lagrange), 0.0, 1e6)
+    conservative = jax.lax.stop_gradient(lagrange) * excess.sum()
+    lagrange_loss = -lagrange * jax.lax.stop_gradient(excess).mean()
+    return td + conservative + lagrange_loss, metrics | {"lagrange": lagrange}
+
+
+def _expectile_critic_loss(
+    config: SubgoalPolicyConfig, params: Params, target_critic: Layers, batch: Transitions
+) -> tuple[jax.Array, Metrics]:
+    """V by expectile regression on Q over the data's latents, Q by TD on V (Kostrikov et al. 2022)."""
+    next_value = jax.lax.stop_gradient(mlp(params.value, batch.next_state)[..., 0])
+    target = _cap(config, losses.td_target(batch.reward, next_value, config.discount))
+    values = twin_values(params.critic, batch.state, batch.latent)
+    td = ((values - target) ** 2).mean(axis=-1).sum()
+    frozen = twin_values(target_critic, batch.state, batch.latent).min(axis=0)
+    error = frozen - mlp(params.value, batch.state)[..., 0]
+    expectile = losses.expectile_loss(error, config.expectile).mean()
+    return td + expectile, {"target": target.mean(), "td_error": td, "value": values.mean()}
+
+
+def _actor_loss(
+    config: SubgoalPolicyConfig, params: Params, batch: Transitions, key: jax.Array
+) -> tuple[jax.Array, Metrics]:
+    """Eq. 4 negated: E_{z ~ pi_h}[alpha * D(z) - Q(s^G, z, g_final)], and alpha's own loss.
+
+    D is KL(pi_h || rho) in nats, mean over dimensions, tuned to `target_divergence`; without the prior it
+    is log pi_h, sum over dimensions, tuned to an entropy of -latent_dim. Q is the smaller of the twins.
+    """
+    policy = propose(params, batch.state)
+    latent = policy.sample(key)
+    value = twin_values(jax.lax.stop_gradient(params.critic), batch.state, latent).min(axis=0)
+    if config.prior:
+        divergence = losses.gaussian_kl(policy, batch.prior).mean(axis=-1)
+        aim = config.target_divergence
+    else:
+        divergence = policy.log_prob(latent)
+        aim = float(latent.shape[-1])
+    alpha = jnp.exp(params.log_alpha)
+    actor = (jax.lax.stop_gradient(alpha) * divergence - value).mean()
+    temperature = -params.log_alpha * jax.lax.stop_gradient(divergence.mean() - aim)
+    metrics = {"divergence": divergence.mean(), "alpha": alpha, "policy_value": value.mean()}
+    return actor + temperature, metrics
+
+
+def update(
+    config: SubgoalPolicyConfig, state: SubgoalPolicyState, batch: Transitions, key: jax.Array
+) -> tuple[SubgoalPolicyState, Metrics]:
+    """One step of Algorithm 1, lines 11-12. Critic and actor read the same parameters and move together."""
+    critic_key, actor_key = jax.random.split(key)
+
+    def loss(params: Params) -> tuple[jax.Array, Metrics]:
+        if config.critic == "expectile":
+            critic, critic_metrics = _expectile_critic_loss(config, params, state.target_critic, batch)
+        else:
+            critic, critic_metrics = _sampled_critic_loss(
+                config, params, state.target_critic, batch, critic_key
+            )
+        actor, actor_metrics = _actor_loss(config, params, batch, actor_key)
+        return critic + actor, critic_metrics | actor_metrics
+
+    gradients, metrics = jax.grad(loss, has_aux=True)(state.params)
+    steps, optimiser = optax.adam(config.learning_rate).update(gradients, state.optimiser)
+    params = optax.apply_updates(state.params, steps)
+    target = optax.incremental_update(params.critic, state.target_critic, config.target_rate)
+    return SubgoalPolicyState(params, target, optimiser), metrics

@@ -1,0 +1,110 @@
+"""Trained policies: a pure batched core for evaluation and export, and a thin object for one robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from guider.errors import GuiderError
+from guider.methods import METHODS
+
+PyTree = Any
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["state", "action_low", "action_high"],
+    meta_fields=["method", "config", "goal_indices", "state_dim"],
+)
+@dataclass(frozen=True)
+class Policy:
+    """One seed's trained policy: a pytree whose leaves are arrays and whose settings are static.
+
+    state: the method's trained state; action_low, action_high: [A] bounds of the actions it returns;
+    goal_indices: entries of a state that form the goal space; state_dim: S.
+    """
+
+    state: PyTree
+    action_low: jax.Array
+    action_high: jax.Array
+    method: str
+    config: Any
+    goal_indices: tuple[int, ...]
+    state_dim: int
+
+    @property
+    def action_dim(self) -> int:
+        return self.action_low.shape[0]
+
+    @property
+    def goal_dim(self) -> int:
+        return len(self.goal_indices)
+
+
+def initial_state(policy: Policy, batch_size: int) -> PyTree:
+    """Acting state for `batch_size` environments; `reset_mask` must be True on their first step."""
+    return METHODS[policy.method].initial_acting_state(policy.config, policy.goal_dim, batch_size)
+
+
+def act(
+    policy: Policy, observation: jax.Array, goal: jax.Array, state: PyTree, reset_mask: jax.Array
+) -> tuple[jax.Array, PyTree]:
+    """One step for a batch, pure and jittable.
+
+    observation: [B, S]; goal: [B, G]; state: see `initial_state`; reset_mask: [B] bool, True where an episode
+    begins. Returns actions [B, A] within the action bounds, and the next acting state.
+    """
+    actions, state = METHODS[policy.method].act(
+        policy.config, policy.state, policy.goal_indices, observation, goal, state, reset_mask
+    )
+    centre = (policy.action_high + policy.action_low) / 2
+    half_range = (policy.action_high - policy.action_low) / 2
+    return centre + half_range * actions, state
+
+
+compiled_act = jax.jit(act)
+
+
+class Agent:
+    """A policy for one environment or robot, with the memory it needs between steps.
+
+    agent.reset() before each episode; agent.act(observation [S], goal [G]) -> action [A].
+    """
+
+    def __init__(self, policy: Policy):
+        self.policy = policy
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the current subgoal: a new episode begins."""
+        self._state = initial_state(self.policy, 1)
+        self._begins = True
+
+    def act(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """The action for this step. Raises GuiderError if shapes or values do not fit the policy."""
+        observation = _vector(observation, self.policy.state_dim, "observation")
+        goal = _vector(goal, self.policy.goal_dim, "goal")
+        actions, self._state = compiled_act(
+            self.policy, observation[None], goal[None], self._state, jnp.asarray([self._begins])
+        )
+        self._begins = False
+        return np.asarray(actions[0])
+
+    @property
+    def subgoal(self) -> np.ndarray:
+        """[G] the subgoal now pursued, in goal units."""
+        return np.asarray(self._state.subgoal[0])
+
+
+def _vector(values: np.ndarray, size: int, name: str) -> np.ndarray:
+    vector = np.asarray(values, np.float32)
+    if vector.shape != (size,):
+        raise GuiderError(f"{name} has shape {vector.shape}; this policy was trained on {name}s of shape ({size},)")
+    if not np.isfinite(vector).all():
+        raise GuiderError(f"{name} holds NaN or inf: {vector}")
+    return vector

@@ -1,0 +1,178 @@
+"""Batches from logged data: a key goes in, a batch comes out, all of it compiled and on the device.
+
+No sampled pair, subgoal or relabelled goal ever lies in another episode than its state, except the
+goals drawn on purpose from anywhere (`random_goal_fraction`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from guider.episodes import Episodes
+
+Boundary = Literal["clip", "drop"]
+
+
+class Data(NamedTuple):
+    """Episodes on the device. Rows are those of `Episodes`.
+
+    observations: [N, S]; actions: [N, A], scaled so that the action bounds are -1 and 1;
+    achieved: [N, G], s^G; goals: [N, G] recorded goals, or None; last_row: [N], last row of the episode;
+    transition_rows: [M], rows to learn actions from; window_rows: [W], rows where a c-step window may start.
+    """
+
+    observations: jax.Array
+    actions: jax.Array
+    achieved: jax.Array
+    goals: jax.Array | None
+    last_row: jax.Array
+    transition_rows: jax.Array
+    window_rows: jax.Array
+
+
+class Windows(NamedTuple):
+    """c-step pairs (Eq. 2): s^G_t and s^G_{t+c}, [B, G] each."""
+
+    achieved: jax.Array
+    later: jax.Array
+
+
+class HighBatch(NamedTuple):
+    """High-level transitions (Algorithm 1, lines 7-10, before z is drawn), [B, G] each."""
+
+    achieved: jax.Array
+    later: jax.Array
+    goal: jax.Array
+
+
+class LowBatch(NamedTuple):
+    """Low-level transitions (Algorithm 1, lines 14-16).
+
+    observation, next_observation: [B, S]; action: [B, A] in [-1, 1]; achieved, next_achieved: [B, G];
+    subgoal, goal: [B, G], g_sub and g_final.
+    """
+
+    observation: jax.Array
+    action: jax.Array
+    next_observation: jax.Array
+    achieved: jax.Array
+    next_achieved: jax.Array
+    subgoal: jax.Array
+    goal: jax.Array
+
+
+def window_starts(
+    episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float = 0.0
+) -> np.ndarray:
+    """Rows t from which a window of c = `period_steps` may start. Returns [W] int32.
+
+    boundary "drop": t + c lies within the episode. "clip": any t with a successor; the window then ends at
+    the episode's last state (the authors' choice). Windows whose ends lie closer than `minimum_move` (goal
+    units) are left out; 0 keeps all.
+    """
+    last = episodes.last_rows
+    rows = np.arange(len(last), dtype=np.int32)
+    later = np.minimum(rows + period_steps, last)
+    keep = rows + (period_steps if boundary == "drop" else 1) <= last
+    if minimum_move > 0:
+        achieved = episodes.achieved
+        keep &= np.linalg.norm(achieved[later] - achieved, axis=1) >= minimum_move
+    return rows[keep]
+
+
+def device_data(episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float) -> Data:
+    """Episodes on the device. Transitions are learned from where a clipped window may start; see `window_starts`."""
+    last = episodes.last_rows
+    half_range = (episodes.action_high - episodes.action_low) / 2
+    centre = (episodes.action_high + episodes.action_low) / 2
+    return Data(
+        observations=jnp.asarray(episodes.observations),
+        actions=jnp.asarray((episodes.actions - centre) / half_range),
+        achieved=jnp.asarray(episodes.achieved),
+        goals=None if episodes.goals is None else jnp.asarray(episodes.goals),
+        last_row=jnp.asarray(last),
+        transition_rows=jnp.asarray(window_starts(episodes, period_steps, "clip", minimum_move)),
+        window_rows=jnp.asarray(window_starts(episodes, period_steps, boundary, minimum_move)),
+    )
+
+
+def _choose(key: jax.Array, rows: jax.Array, count: int) -> jax.Array:
+    return rows[jax.random.randint(key, (count,), 0, len(rows))]
+
+
+def _goals(
+    data: Data, key: jax.Array, first: jax.Array, last: jax.Array, relabel_fraction: float, random_fraction: float
+) -> jax.Array:
+    """g_final for each row: a state of [first, last] of its own episode with probability `relabel_fraction`,
+    a state from anywhere with `random_fraction`, else the recorded goal. Without recorded goals, the
+    remainder is relabelled too. first, last: [B] rows. Returns [B, G]."""
+    row_key, anywhere_key, kind_key = jax.random.split(key, 3)
+    future = data.achieved[jax.random.randint(row_key, first.shape, jnp.minimum(first, last), last + 1)]
+    anywhere = data.achieved[jax.random.randint(anywhere_key, first.shape, 0, len(data.achieved))]
+    kind = jax.random.uniform(kind_key, first.shape)[:, None]
+    recorded = future if data.goals is None else data.goals[jnp.minimum(first, last)]
+    goal = jnp.where(kind < relabel_fraction + random_fraction, anywhere, recorded)
+    return jnp.where(kind < relabel_fraction, future, goal)
+
+
+def sample_windows(data: Data, key: jax.Array, batch_size: int, period_steps: int) -> Windows:
+    """Uniform c-step windows (Algorithm 1, line 2)."""
+    rows = _choose(key, data.window_rows, batch_size)
+    later = jnp.minimum(rows + period_steps, data.last_row[rows])
+    return Windows(data.achieved[rows], data.achieved[later])
+
+
+def sample_high(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    period_steps: int,
+    goal_offset: int,
+    relabel_fraction: float,
+    random_goal_fraction: float,
+) -> HighBatch:
+    """High-level transitions with hindsight goals (Algorithm 1, lines 7-10).
+
+    A relabelled goal is s^G_i with i uniform in [t + c + goal_offset, T]; offset 1 is the paper's strict
+    range, 0 the authors' code. Where that range is empty, i = T.
+    """
+    row_key, goal_key = jax.random.split(key)
+    rows = _choose(row_key, data.window_rows, batch_size)
+    last = data.last_row[rows]
+    later = jnp.minimum(rows + period_steps, last)
+    goal = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    return HighBatch(data.achieved[rows], data.achieved[later], goal)
+
+
+def sample_low(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    subgoal_steps: int,
+    relabel_fraction: float,
+    random_goal_fraction: float,
+) -> LowBatch:
+    """Low-level transitions with hindsight subgoals (Algorithm 1, lines 14-16).
+
+    g_sub = s^G_j with j uniform in [t + 1, min(t + subgoal_steps, T)]; g_final = s^G_i with i uniform in
+    [j, T], j included: every final approach looks like that.
+    """
+    row_key, subgoal_key, goal_key = jax.random.split(key, 3)
+    rows = _choose(row_key, data.transition_rows, batch_size)
+    last = data.last_row[rows]
+    subgoal_rows = jax.random.randint(
+        subgoal_key, rows.shape, rows + 1, jnp.minimum(rows + subgoal_steps, last) + 1
+    )
+    return LowBatch(
+        observation=data.observations[rows],
+        action=data.actions[rows],
+        next_observation=data.observations[rows + 1],
+        achieved=data.achieved[rows],
+        next_achieved=data.achieved[rows + 1],
+        subgoal=data.achieved[subgoal_rows],
+        goal=_goals(data, goal_key, subgoal_rows, last, relabel_fraction, random_goal_fraction),
+    )

@@ -1,0 +1,144 @@
+# pyright: reportAttributeAccessIssue=false
+# (mujoco is a compiled module without type stubs)
+"""Guider's own pointmaze: a ball with two motors in D4RL's antmaze layouts, with cells of 1 m.
+
+It asks what antmaze asks, to join short and imperfect episodes to a route that none of them shows, of a robot
+so simple that data takes seconds to record. It is no benchmark of the literature: no data and no score from
+elsewhere belongs to it.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import mujoco
+import numpy as np
+
+from guider.collect.waypoints import Recipe, record
+from guider.tasks.mazes import Cell, Maze, make_maze
+from guider.tasks.simulation import MujocoVectorEnv, Start
+from guider.tasks.types import Task, VectorEnv
+
+CELL_SIZE_M = 1.0
+TIMESTEP_S = 0.02
+FRAME_SKIP = 5
+BALL_RADIUS_M = 0.2
+BALL_MASS_KG = 1.0
+# A motor drives the ball at up to 3.5 / 2.5 = 1.4 m/s along its axis, 7 environment steps for a cell; speed
+# comes and goes with a time constant of 1 / 2.5 = 0.4 s, 4 environment steps.
+MOTOR_FORCE_N = 3.5
+DAMPING_NS_PER_M = 2.5
+START_OFFSET_M = 0.1
+GOAL_OFFSET_M = 0.25
+GOAL_RADIUS_M = 0.25
+
+
+@cache
+def point_model(maze: Maze) -> mujoco.MjModel:
+    """The ball between the walls of `maze`: slide joints along x and y, a motor on each, no gravity."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, BALL_RADIUS_M])
+    for name, axis in ("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0]):
+        joint = ball.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        joint.damping[0] = DAMPING_NS_PER_M
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.gear[0] = MOTOR_FORCE_N
+        motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        motor.ctrlrange = [-1.0, 1.0]
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS_M, 0.0, 0.0], mass=BALL_MASS_KG)
+    for row, column in np.argwhere(maze.walls):
+        x, y = maze.cell_centre((row, column))
+        spec.worldbody.add_geom(
+            name=f"wall_{row}_{column}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, BALL_RADIUS_M],
+            size=[CELL_SIZE_M / 2, CELL_SIZE_M / 2, BALL_RADIUS_M],
+        )
+    return spec.compile()
+
+
+def sample_start(maze: Maze, rng: np.random.Generator) -> Start:
+    """Evaluation: at rest near the centre of the start cell, towards a point within the goal cell.
+
+    The start differs from its cell's centre by U(-0.1, 0.1) m along each axis, the goal by U(-0.25, 0.25) m.
+    """
+    return Start(
+        qpos=_near(maze, maze.start_cell, START_OFFSET_M, rng),
+        qvel=np.zeros(2),
+        goal=_near(maze, maze.goal_cell, GOAL_OFFSET_M, rng),
+    )
+
+
+def sample_start_anywhere(maze: Maze, rng: np.random.Generator) -> Start:
+    """Recording: at rest in a uniformly drawn free cell, 0.25 m or less from its centre along each axis.
+
+    Its goal is where it starts: the recorder draws its own.
+    """
+    cell = maze.free_cells[rng.integers(len(maze.free_cells))]
+    xy = _near(maze, cell, GOAL_OFFSET_M, rng)
+    return Start(qpos=xy, qvel=np.zeros(2), goal=xy)
+
+
+def make_env(maze: Maze, count: int) -> VectorEnv:
+    """`count` copies of the ball in `maze`, for evaluation."""
+    return MujocoVectorEnv(point_model(maze), FRAME_SKIP, partial(sample_start, maze), count)
+
+
+def make_recording_env(maze: Maze, count: int) -> VectorEnv:
+    """`count` copies of the ball in `maze`, started anywhere."""
+    return MujocoVectorEnv(point_model(maze), FRAME_SKIP, partial(sample_start_anywhere, maze), count)
+
+
+def drive(observations: np.ndarray, waypoints: np.ndarray) -> np.ndarray:
+    """Proportional-derivative control: [n, 4] observations, [n, 2] waypoints in metres -> [n, 2] actions.
+
+    a = clip(3 (waypoint - position) - velocity, -1, 1)
+    """
+    return np.clip(3.0 * (waypoints - observations[:, :2]) - observations[:, 2:], -1.0, 1.0)
+
+
+def _near(maze: Maze, cell: Cell | np.ndarray, offset_m: float, rng: np.random.Generator) -> np.ndarray:
+    return maze.cell_centre(cell) + rng.uniform(-offset_m, offset_m, 2)
+
+
+def _task(maze_name: str, horizon_steps: int, recorded_steps: int) -> Task:
+    """recorded_steps: rows of a recorded episode, too few to get from the start cell to the goal cell."""
+    maze = make_maze(maze_name, CELL_SIZE_M)
+    recipe = Recipe(
+        maze=maze,
+        make_env=partial(make_recording_env, maze),
+        controller=drive,
+        action_dim=2,
+        episode_steps=recorded_steps,
+        goal_offset_m=GOAL_OFFSET_M,
+        goal_radius_m=GOAL_RADIUS_M,
+        noise_spread=0.5,
+        burst_chance=0.03,
+        burst_steps=8,
+    )
+    return Task(
+        name=f"pointmaze-{maze_name}",
+        summary=f"a ball rolls through the {maze_name} maze; data is recorded in seconds",
+        goal_indices=(0, 1),
+        state_dim=4,
+        action_dim=2,
+        radius=GOAL_RADIUS_M,
+        reach_radius=0.35,
+        horizon_steps=horizon_steps,
+        period_steps=20,
+        environment=f"Guider's ball (1 kg, 3.5 N) in MuJoCo {mujoco.__version__}, 1 m cells",
+        make_env=partial(make_env, maze),
+        collect=partial(record, recipe),
+        maze=maze,
+    )
+
+
+# Measured: without noise, `drive` meets the goal in 46-51, 75-80 and 106-111 steps, and needs at least 39, 68
+# and 99 to get from the start cell into the goal cell.
+POINTMAZES = (
+    _task("umaze", horizon_steps=80, recorded_steps=30),
+    _task("medium", horizon_steps=130, recorded_steps=45),
+    _task("large", horizon_steps=180, recorded_steps=60),
+)

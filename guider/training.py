@@ -1,0 +1,109 @@
+"""The training engine: compiled chunks of updates, many seeds in one program. It knows no method and no task."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+PyTree = Any
+
+
+@dataclass(frozen=True)
+class Stage:
+    """`updates` calls of `update(state, data, key) -> (state, metrics)`, a pure function of one seed's state."""
+
+    name: str
+    updates: int
+    update: Callable[[PyTree, PyTree, jax.Array], tuple[PyTree, dict[str, jax.Array]]]
+
+
+@dataclass(frozen=True)
+class Position:
+    """How far training has come: `update` updates of stage number `stage` are done."""
+
+    stage: int
+    update: int
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What a callback learns between two chunks.
+
+    position: after the chunk; metrics: name -> [seeds], means over the chunk's updates;
+    updates, seconds: how many updates the chunk held and how long they took, compilation apart.
+    """
+
+    stage: Stage
+    position: Position
+    metrics: dict[str, jax.Array]
+    updates: int
+    seconds: float
+
+
+def seed_keys(seeds: Sequence[int]) -> jax.Array:
+    """[seeds] one root key per seed."""
+    return jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+
+
+def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyTree:
+    """States of all seeds, stacked along a leading axis."""
+    return jax.jit(jax.vmap(init))(seed_keys(seeds))
+
+
+def compile_chunk(stage: Stage, stage_index: int) -> Callable:
+    """run(state, data, keys, first, last) -> (state, mean metrics): updates first <= u < last for every seed.
+
+    Update u of a seed draws from fold_in(fold_in(key, stage_index), u), and the loop's bounds are arguments
+    of one compiled program; so how training is cut into chunks never matters, to the bit.
+    """
+
+    def one_seed(state, data, key, first, last):
+        stage_key = jax.random.fold_in(key, stage_index)
+        metric_shapes = jax.eval_shape(stage.update, state, data, key)[1]
+        zeros = jax.tree.map(lambda m: jnp.zeros(m.shape, m.dtype), metric_shapes)
+
+        def body(update, carry):
+            state, sums = carry
+            state, metrics = stage.update(state, data, jax.random.fold_in(stage_key, update))
+            return state, jax.tree.map(jnp.add, sums, metrics)
+
+        state, sums = jax.lax.fori_loop(first, last, body, (state, zeros))
+        return state, jax.tree.map(lambda s: s / (last - first), sums)
+
+    return jax.jit(jax.vmap(one_seed, in_axes=(0, None, 0, None, None)), donate_argnums=0)
+
+
+def train(
+    stages: Sequence[Stage],
+    state: PyTree,
+    data: PyTree,
+    seeds: Sequence[int],
+    *,
+    start: Position = Position(0, 0),
+    chunk_updates: int = 1000,
+    on_chunk: Callable[[Chunk, PyTree], None] = lambda chunk, state: None,
+) -> PyTree:
+    """Run all stages from `start` to the end and return the final state.
+
+    state: leaves [seeds, ...] (see `init_seeds`); it is consumed. on_chunk sees the state between chunks, and
+    must copy what it keeps: the next chunk reuses the memory. Chunks end at multiples of `chunk_updates`.
+    """
+    keys = seed_keys(seeds)
+    for index in range(start.stage, len(stages)):
+        stage = stages[index]
+        done = start.update if index == start.stage else 0
+        run = compile_chunk(stage, index).lower(state, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
+        while done < stage.updates:
+            last = min(stage.updates, (done // chunk_updates + 1) * chunk_updates)
+            began = time.perf_counter()
+            state, metrics = run(state, data, keys, jnp.asarray(done), jnp.asarray(last))
+            metrics = jax.device_get(metrics)
+            chunk = Chunk(stage, Position(index, last), metrics, last - done, time.perf_counter() - began)
+            done = last
+            on_chunk(chunk, state)
+    return state
