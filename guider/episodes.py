@@ -11,6 +11,27 @@ import numpy as np
 from guider.errors import GuiderError
 
 
+@dataclass(frozen=True)
+class Spaces:
+    """What a policy's inputs and outputs look like.
+
+    state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds.
+    """
+
+    state_dim: int
+    goal_indices: tuple[int, ...]
+    action_low: tuple[float, ...]
+    action_high: tuple[float, ...]
+
+    @property
+    def goal_dim(self) -> int:
+        return len(self.goal_indices)
+
+    @property
+    def action_dim(self) -> int:
+        return len(self.action_low)
+
+
 @dataclass(frozen=True, eq=False)
 class Episodes:
     """Ragged episodes, laid end to end.
@@ -51,6 +72,15 @@ class Episodes:
     def achieved(self) -> np.ndarray:
         """[rows, goal_dim]: s^G of every state."""
         return self.observations[:, list(self.goal_indices)]
+
+    @property
+    def spaces(self) -> Spaces:
+        return Spaces(
+            state_dim=self.observations.shape[1],
+            goal_indices=self.goal_indices,
+            action_low=tuple(map(float, self.action_low)),
+            action_high=tuple(map(float, self.action_high)),
+        )
 
     def fingerprint(self) -> str:
         """Hex digest of everything a learner sees; equal data has equal fingerprints, whatever its source."""

@@ -1,1 +1,64 @@
-"""The two presets. `paper` is the defaults of every config; all departures of `fast` are listed here."""
+"""The two presets. `paper` is the defaults of every config: the equations, the authors' settings and the fixes
+named in the method's files. `fast` is `paper` with the departures written out here, each a setting of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+from guider.config import differences
+from guider.methods.guider import GuiderConfig
+
+Preset = Literal["fast", "paper"]
+
+
+def guider_config(preset: Preset, radius: float, reach_radius: float, period_steps: int) -> GuiderConfig:
+    """Guider's settings for a task.
+
+    radius, reach_radius: goal units; period_steps: c, environment steps.
+    """
+    paper = GuiderConfig(radius=radius, reach_radius=reach_radius, period_steps=period_steps)
+    if preset == "paper":
+        return paper
+    return replace(
+        paper,
+        boundary="drop",
+        minimum_move=reach_radius,
+        replan="reached",
+        final_goal_substitution=True,
+        normalise=True,
+        latent=replace(
+            paper.latent,
+            updates=20_000,
+            batch_size=256,
+            learning_rate=5e-4,
+            hidden=(128, 128),
+            decoder_dropout=0.0,
+            relative=True,
+        ),
+        high=replace(
+            paper.high,
+            updates=10_000,
+            learning_rate=3e-4,
+            random_goal_fraction=0.3,
+            relabel_fraction=0.7,
+            samples=4,
+            lagrange_threshold=None,
+            conservative_weight=0.5,
+            cap_targets=True,
+        ),
+        low=replace(
+            paper.low,
+            updates=30_000,
+            learning_rate=3e-4,
+            relative=True,
+        ),
+    )
+
+
+def departures(config: GuiderConfig) -> dict[str, Any]:
+    """Settings in which a config departs from the preset `paper` for the same task."""
+    return differences(
+        config,
+        guider_config("paper", config.radius, config.reach_radius, config.period_steps),
+    )

@@ -14,7 +14,8 @@ class Method:
     """The functions of one method; `config` is an instance of `config_type` throughout.
 
     prepare:  (config, episodes) -> (device data, input scale)
-    init:     (config, data, scale, key) -> state of one seed
+    unit_scale: (spaces) -> a scale of the right shapes
+    init:     (config, spaces, scale, key) -> state of one seed
     stages:   (config) -> stages for the engine
     initial_acting_state: (config, goal_dim, batch_size) -> what acting remembers between steps
     act:      (config, state, goal_indices, observation, goal, acting_state, reset_mask)
@@ -23,6 +24,7 @@ class Method:
 
     config_type: type
     prepare: Callable[..., Any]
+    unit_scale: Callable[..., Any]
     init: Callable[..., Any]
     stages: Callable[..., Any]
     initial_acting_state: Callable[..., Any]
@@ -33,6 +35,7 @@ METHODS = {
     "guider": Method(
         config_type=guider.GuiderConfig,
         prepare=guider.prepare,
+        unit_scale=guider.unit_scale,
         init=guider.init,
         stages=guider.stages,
         initial_acting_state=guider.initial_acting_state,

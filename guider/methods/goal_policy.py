@@ -26,6 +26,8 @@ class GoalPolicyConfig:
     updates: int = 500_000
     batch_size: int = 512
     learning_rate: float = 1e-4
+    decay: bool = False
+    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
     hidden: tuple[int, ...] = (256, 256, 256)
     discount: float = 0.99
     target_rate: float = 0.005
@@ -74,7 +76,12 @@ def init(key: jax.Array, config: GoalPolicyConfig, input_dim: int, action_dim: i
         actor=mlp_init(actor_key, (input_dim, *config.hidden, action_dim)),
         critic=twin_init(critic_key, (input_dim + action_dim, *config.hidden, 1)),
     )
-    return GoalPolicyState(params, params.critic, optax.adam(config.learning_rate).init(params))
+    return GoalPolicyState(params, params.critic, _optimiser(config).init(params))
+
+
+def _optimiser(config: GoalPolicyConfig) -> optax.GradientTransformation:
+    rate = config.learning_rate
+    return optax.adam(optax.cosine_decay_schedule(rate, max(1, config.updates)) if config.decay else rate)
 
 
 def act(params: Params, state: jax.Array) -> jax.Array:
@@ -112,7 +119,7 @@ def update(
         return td + regression, metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
-    steps, optimiser = optax.adam(config.learning_rate).update(gradients, state.optimiser)
+    steps, optimiser = _optimiser(config).update(gradients, state.optimiser)
     params = optax.apply_updates(old, steps)
     target_critic = optax.incremental_update(params.critic, state.target_critic, config.target_rate)
     return GoalPolicyState(params, target_critic, optimiser), metrics

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider import losses
-from guider.episodes import Episodes
+from guider.episodes import Episodes, Spaces
 from guider.methods import goal_policy, latent_subgoals, subgoal_policy
 from guider.methods.goal_policy import GoalPolicyConfig, GoalPolicyState
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
-from guider.methods.scaling import Scale, make_scale
+from guider.methods.scaling import Scale, make_scale, unit_scale
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.samplers import (
     Boundary,
@@ -70,23 +70,22 @@ class GuiderState(NamedTuple):
 def prepare(config: GuiderConfig, episodes: Episodes) -> tuple[Data, Scale]:
     """Data on the device and the scaling it implies."""
     data = device_data(episodes, config.period_steps, config.boundary, config.minimum_move)
-    scale = make_scale(episodes, np.asarray(data.window_rows), config.period_steps, config.normalise)
-    return data, scale
+    if not config.normalise:
+        return data, unit_scale(episodes.spaces)
+    return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps)
 
 
-def init(config: GuiderConfig, data: Data, scale: Scale, key: jax.Array) -> GuiderState:
+def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> GuiderState:
     """Fresh state for one seed."""
     latent_key, high_key, low_key = jax.random.split(key, 3)
-    state_dim, goal_dim = data.observations.shape[1], data.achieved.shape[1]
-    latent_dim = config.latent.latent_dim
+    goal_dim, latent_dim = spaces.goal_dim, config.latent.latent_dim
     subgoal_dim = latent_dim if config.low.subgoal_input == "latent" else goal_dim
+    low_input_dim = spaces.state_dim + subgoal_dim + goal_dim
     return GuiderState(
         scale=scale,
         latent=latent_subgoals.init(latent_key, config.latent, goal_dim),
         high=subgoal_policy.init(high_key, config.high, goal_dim, latent_dim),
-        low=goal_policy.init(
-            low_key, config.low, state_dim + subgoal_dim + goal_dim, data.actions.shape[1]
-        ),
+        low=goal_policy.init(low_key, config.low, low_input_dim, spaces.action_dim),
     )
 
 

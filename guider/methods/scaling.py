@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.episodes import Episodes
+from guider.episodes import Episodes, Spaces
 
 
 class Scale(NamedTuple):
@@ -30,13 +30,15 @@ class Scale(NamedTuple):
         return (goal - self.goal_mean) / self.goal_std
 
 
-def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, normalise: bool) -> Scale:
-    """Scale from the data (normalise) or the identity. starts: [W] rows that start a window of c steps."""
-    goal_dim = len(episodes.goal_indices)
-    if not normalise:
-        zeros, ones = jnp.zeros, jnp.ones
-        state_dim = episodes.observations.shape[1]
-        return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim))
+def unit_scale(spaces: Spaces) -> Scale:
+    """Raw inputs."""
+    zeros, ones = jnp.zeros, jnp.ones
+    state_dim, goal_dim = spaces.state_dim, spaces.goal_dim
+    return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim))
+
+
+def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int) -> Scale:
+    """Scale from the data. starts: [W] rows that start a window of c = period_steps steps."""
     mean = episodes.observations.mean(axis=0, dtype=np.float64)
     std = np.maximum(episodes.observations.std(axis=0, dtype=np.float64), 1e-3)
     goal = list(episodes.goal_indices)

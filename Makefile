@@ -1,0 +1,28 @@
+# Everything here creates what it needs: a virtual environment in .venv with the versions of constraints.txt.
+PYTHON ?= python3
+BIN := .venv/bin
+RUN := runs/demo
+DATA := datasets/demo-pointmaze-large.hdf5
+
+.PHONY: demo test lint
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "guider needs Python 3.11 or newer; try: make PYTHON=python3.11 ...")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[minari,tensorboard,dev]"
+	touch $@
+
+demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes on two cores.
+	rm -rf $(RUN) $(DATA)
+	$(BIN)/guider collect pointmaze-large --out $(DATA)
+	$(BIN)/guider train pointmaze-large --data $(DATA) --out $(RUN)
+	$(BIN)/guider evaluate $(RUN)
+	$(BIN)/guider plot $(RUN)
+
+test: .venv/installed
+	$(BIN)/python -m pytest
+
+lint: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright

@@ -1,0 +1,22 @@
+"""Guider: offline hierarchical reinforcement learning with a latent model of reachable subgoals (IJCAI 2023)."""
+
+from guider.api import evaluate, load, resume, train
+from guider.data import load as load_data
+from guider.episodes import Episodes, make_episodes
+from guider.errors import GuiderError
+from guider.policy import Agent, Policy, act, initial_state
+
+__all__ = [
+    "Agent",
+    "Episodes",
+    "GuiderError",
+    "Policy",
+    "act",
+    "evaluate",
+    "initial_state",
+    "load",
+    "load_data",
+    "make_episodes",
+    "resume",
+    "train",
+]

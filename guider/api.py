@@ -1,0 +1,264 @@
+"""What the command line does, as Python functions: train, resume, evaluate, load."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from guider import data as data_sources
+from guider import runs
+from guider.config import override, to_dict
+from guider.episodes import Episodes
+from guider.errors import GuiderError
+from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
+from guider.heldout import held_out_scores
+from guider.policy import Agent, Policy
+from guider.presets import Preset, departures, guider_config
+from guider.runs import Run, RunSpec
+from guider.tasks import Task, find_task
+from guider.training import Chunk
+
+TUNING_SEED = 1_000_000
+"""Evaluation episodes during training use seeds from here on, those of `evaluate` start at 0: choices made
+while watching curves never saw the episodes of the score."""
+
+
+def train(
+    task: str | None = None,
+    data: str | Path | Episodes | None = None,
+    *,
+    goal_indices: Sequence[int] | None = None,
+    radius: float | None = None,
+    reach_radius: float | None = None,
+    period_steps: int | None = None,
+    format: str | None = None,
+    method: str = "guider",
+    preset: Preset = "fast",
+    settings: dict[str, str] | None = None,
+    seeds: int | Sequence[int] = 1,
+    out: str | Path | None = None,
+    held_out: float | None = None,
+    evaluate_every: int = 0,
+    on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
+    **pace: Any,
+) -> Run:
+    """Train on a task's data or on your own, and return the finished run.
+
+    task: a name from `guider tasks`, or None for your own data, which then needs `goal_indices` and `radius`
+        (goal units).
+    data: a file or dataset (see `guider.load_data`), or Episodes.
+    reach_radius: a subgoal counts as reached this near; default the task's, or twice the radius.
+    period_steps: c; default the task's, or a twentieth of the median episode, at least 5.
+    settings: further settings by dotted name, e.g. {"high.samples": "2"}; see guider.methods.guider.
+    seeds: how many agents to train at once (seeds 0, 1, ...), or their seeds.
+    out: run directory, new; default runs/TASK-METHOD-PRESET.
+    held_out: fraction of episodes kept for `evaluate`; default 0 for a task, 0.1 for your own data.
+    evaluate_every: evaluate all seeds after every so many updates of the last stage; 0 for never.
+    on_chunk: called between chunks of updates, e.g. to show progress; pace: see runs.start.
+    """
+    if method != "guider":
+        raise GuiderError(f"there is no method {method!r}; there is guider")
+    if data is None:
+        hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collect else "a file"
+        raise GuiderError(f"no data given: name it with --data ({hint})")
+    benchmark = None if task is None else find_task(task)
+    goal_indices, radius, reach_radius = _goal(benchmark, data, goal_indices, radius, reach_radius)
+    episodes = _episodes(data, goal_indices, format)
+    if benchmark is not None:
+        _check_fits(benchmark, episodes)
+    if period_steps is None:
+        default = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
+        period_steps = benchmark.period_steps if benchmark else default
+    config = override(guider_config(preset, radius, reach_radius, period_steps), settings or {})
+    held_out = (0.0 if benchmark else 0.1) if held_out is None else held_out
+    spec = RunSpec(
+        task=task,
+        data=episodes.source,
+        format=format,
+        fingerprint=episodes.fingerprint(),
+        held_out=held_out,
+        method=method,
+        preset=preset,
+        seeds=tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds),
+        config=config,
+        spaces=episodes.spaces,
+    )
+    directory = Path(out) if out else Path("runs") / f"{task or 'own'}-{method}-{preset}"
+    callback = _with_evaluation(directory, spec, evaluate_every, on_chunk)
+    return runs.start(directory, spec, episodes, callback, **pace)
+
+
+def resume(
+    run: str | Path,
+    data: str | Path | Episodes | None = None,
+    *,
+    evaluate_every: int = 0,
+    on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
+    **pace: Any,
+) -> Run:
+    """Continue an interrupted run to its end, bit-equal to one never interrupted.
+
+    data: where the run's data is now, if it has moved. Raises GuiderError if it is not the same data.
+    """
+    opened = runs.open_run(run)
+    spec = opened.spec
+    episodes = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
+    runs.resume(opened, episodes, _with_evaluation(opened.directory, spec, evaluate_every, on_chunk), **pace)
+    return opened
+
+
+def load(run: str | Path | Run, seed: int | None = None) -> Agent:
+    """The trained agent of a run, ready to `reset()` and `act(observation, goal)`. seed: default the first."""
+    opened = run if isinstance(run, Run) else runs.open_run(run)
+    seeds = opened.spec.seeds
+    if seed is not None and seed not in seeds:
+        raise GuiderError(f"{opened.directory} trained seeds {', '.join(map(str, seeds))}, not {seed}")
+    return Agent(opened.policies()[0 if seed is None else seeds.index(seed)])
+
+
+def evaluate(
+    run: str | Path | Run,
+    *,
+    episodes: int = 100,
+    first_seed: int = 0,
+    data: str | Path | Episodes | None = None,
+    on_steps: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Score a finished run's last checkpoint and write evaluation.json into it.
+
+    On a task: `episodes` episodes for every seed, environment seeds first_seed + seed index * episodes + e.
+    On one's own data: the episodes that training never saw (see guider.heldout).
+    Returns the score with its protocol: environment, data, preset and its departures, seeds, interval.
+    """
+    opened = run if isinstance(run, Run) else runs.open_run(run)
+    spec = opened.spec
+    policies = opened.policies()
+    protocol = {
+        "task": spec.task,
+        "method": spec.method,
+        "preset": spec.preset,
+        "departures": departures(spec.config),
+        "data": spec.data,
+        "fingerprint": spec.fingerprint,
+        "training_seeds": list(spec.seeds),
+        "updates": {stage.name: stage.updates for stage in opened.stages},
+        "checkpoint": "last",
+        "versions": runs.versions(),
+    }
+    if spec.task is None:
+        logged = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
+        if logged.fingerprint() != spec.fingerprint:
+            raise GuiderError(f"{logged.source} is not the data {opened.directory} was trained on; give that with --data")
+        if spec.held_out == 0:
+            raise GuiderError(f"{opened.directory} held no episodes out; train with --held-out 0.1 to score it")
+        unseen = logged.split(spec.held_out)[1]
+        result = protocol | {
+            "held_out_episodes": len(unseen.starts),
+            "per_seed": [held_out_scores(policy, unseen) for policy in policies],
+        }
+    else:
+        task = find_task(spec.task)
+        total = len(policies) * episodes * 1.0
+
+        def outcome(index: int, policy: Policy) -> Rollouts:
+            return rollout(
+                policy,
+                task,
+                episodes,
+                first_seed + index * episodes,
+                on_steps=lambda done, of: on_steps(int((index + done / of) * episodes), int(total)),
+            )
+
+        outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
+        result = protocol | _summary(task, outcomes, first_seed)
+    runs.write_json(opened.directory / "evaluation.json", result)
+    return result
+
+
+def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:
+    """Success in percent, per seed with Wilson's interval and over seeds with the bootstrap's."""
+    success = np.stack([outcome.success for outcome in outcomes])
+    rates = 100 * success.mean(axis=1)
+    count = success.shape[1]
+    per_seed = [
+        {
+            "success": float(rate),
+            "interval_95": [round(100 * bound, 1) for bound in wilson_interval(int(row.sum()), count)],
+            "median_steps_when_met": float(np.median(outcome.steps[row])) if row.any() else None,
+        }
+        for rate, row, outcome in zip(rates, success, outcomes, strict=True)
+    ]
+    return {
+        "environment": task.environment,
+        "horizon_steps": task.horizon_steps,
+        "radius": task.radius,
+        "episodes_per_seed": count,
+        "episode_seeds": [first_seed, first_seed + success.size - 1],
+        "success": float(rates.mean()),
+        "success_std_over_seeds": float(rates.std()),
+        "interval_95": [round(100 * bound, 1) for bound in bootstrap_interval(success)],
+        "per_seed": per_seed,
+        "paper_score": task.paper_score,
+    }
+
+
+def _with_evaluation(
+    directory: Path, spec: RunSpec, every: int, on_chunk: Callable[[Chunk, Any], None]
+) -> Callable[[Chunk, Any], None]:
+    """on_chunk, and every so many updates of the last stage an evaluation on a copy of the state."""
+    if not every or spec.task is None:
+        return on_chunk
+    task = find_task(spec.task)
+    stages = Run(directory, spec).stages
+    episodes = 20
+
+    def callback(chunk: Chunk, state: Any) -> None:
+        on_chunk(chunk, state)
+        update = chunk.position.update
+        if chunk.stage is not stages[-1] and chunk.stage.name != stages[-1].name:
+            return
+        if update % every == 0 or update == chunk.stage.updates:
+            outcomes = [rollout(policy, task, episodes, TUNING_SEED) for policy in runs.policies(spec, state)]
+            line = {
+                "stage": chunk.stage.name,
+                "update": update,
+                "total_updates": runs.total_updates(stages, chunk.position),
+                "success": [float(outcome.success.mean()) for outcome in outcomes],
+                "episodes": episodes,
+            }
+            runs.append_line(directory / "evaluations.jsonl", line)
+
+    return callback
+
+
+def _goal(task: Task | None, data: Any, goal_indices, radius, reach_radius) -> tuple[Any, float, float]:
+    """(goal_indices, radius, reach_radius), from the task where there is one, and checked."""
+    if task is not None:
+        if goal_indices is not None or radius is not None:
+            raise GuiderError(f"{task.name} fixes its goal entries and radius; leave --goal-indices and --radius out")
+        return task.goal_indices, task.radius, reach_radius or task.reach_radius
+    if isinstance(data, Episodes) and goal_indices is None:
+        goal_indices = data.goal_indices
+    if goal_indices is None or radius is None:
+        raise GuiderError(
+            "without a task name, say which state entries are the goal (--goal-indices 0 1) "
+            "and how near counts as met (--radius 0.5)"
+        )
+    return goal_indices, radius, reach_radius or 2 * radius
+
+
+def _episodes(data: str | Path | Episodes, goal_indices: Sequence[int], format: str | None) -> Episodes:
+    return data if isinstance(data, Episodes) else data_sources.load(data, goal_indices, format=format)
+
+
+def _check_fits(task: Task, episodes: Episodes) -> None:
+    found = episodes.observations.shape[1], episodes.actions.shape[1]
+    if found != (task.state_dim, task.action_dim):
+        raise GuiderError(
+            f"{episodes.source} holds states of {found[0]} and actions of {found[1]} numbers; "
+            f"{task.name} ({task.environment}) has {task.state_dim} and {task.action_dim}"
+        )

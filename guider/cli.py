@@ -1,0 +1,329 @@
+"""The command line. Every command is a function here; its docstring is its help."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from guider.errors import GuiderError
+from guider.presets import Preset
+
+Json = Annotated[bool, tyro.conf.arg(name="json", help="Print one JSON document instead of text.")]
+TaskName = tyro.conf.Positional[str]
+RunDirectory = tyro.conf.Positional[Path]
+
+
+def train(
+    task: tyro.conf.Positional[str | None] = None,
+    data: str | None = None,
+    method: Literal["guider"] = "guider",
+    preset: Preset = "fast",
+    seeds: int = 1,
+    out: Path | None = None,
+    resume: Path | None = None,
+    goal_indices: tuple[int, ...] = (),
+    radius: float | None = None,
+    reach_radius: float | None = None,
+    period_steps: int | None = None,
+    held_out: float | None = None,
+    format: str | None = None,
+    set: tuple[str, ...] = (),
+    evaluate_every: int = 0,
+    log_to: Literal["tensorboard", "wandb"] | None = None,
+    as_json: Json = False,
+) -> None:
+    """Learn a policy from logged data.
+
+    A benchmark:    guider train pointmaze-large --data datasets/pointmaze-large.hdf5 --seeds 4
+    Your own logs:  guider train --data logs.npz --goal-indices 0 1 --radius 0.5 --out runs/robot
+    After a crash:  guider train --resume runs/robot
+
+    Args:
+        task: A benchmark from `guider tasks`; leave it out for your own data.
+        data: HDF5 (D4RL), npz (OGBench or your own), a Minari directory or minari:ID. See `guider data inspect`.
+        method: What to train.
+        preset: `fast` fits two cores; `paper` is the paper's equations and the authors' settings.
+        seeds: How many agents to train at once, in one compiled program.
+        out: New directory for the run; by default runs/TASK-METHOD-PRESET.
+        resume: Continue this interrupted run; the result is the same to the bit. Other settings are the run's own.
+        goal_indices: Own data: the state entries that are the goal, e.g. 0 1 for x and y.
+        radius: Own data: a goal counts as met within this distance, in the units of those entries.
+        reach_radius: A subgoal counts as reached within this distance; by default twice the radius.
+        period_steps: Steps between subgoals (c); by default the task's, or a twentieth of the median episode.
+        held_out: Fraction of episodes kept aside for `guider evaluate`; by default 0.1 for own data, else 0.
+        format: How to read the data, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain.
+        set: Further settings by dotted name, e.g. --set high.samples=2 low.updates=50000.
+        evaluate_every: Evaluate on the task after every so many updates of the last stage (0: never).
+        log_to: Also send metrics to TensorBoard (into the run) or Weights & Biases; extras of the package.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider import api, logs
+
+    if resume is not None and (task or out or set or goal_indices or radius):
+        raise GuiderError("--resume takes all settings from the run; give only --data if the data has moved")
+    with _stage_bars() as show:
+        if resume is not None:
+            sink = logs.sink(log_to, resume)
+            run = api.resume(resume, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink))
+        else:
+            directory = out or Path("runs") / f"{task or 'own'}-{method}-{preset}"
+            run = api.train(
+                task,
+                data,
+                goal_indices=goal_indices or None,
+                radius=radius,
+                reach_radius=reach_radius,
+                period_steps=period_steps,
+                format=format,
+                method=method,
+                preset=preset,
+                settings=_assignments(set),
+                seeds=seeds,
+                out=directory,
+                held_out=held_out,
+                evaluate_every=evaluate_every,
+                on_chunk=_both(show, logs.sink(log_to, directory)),
+            )
+    text = f"trained {run.directory}; next: `guider evaluate {run.directory}` and `guider plot {run.directory}`"
+    _answer({"run": str(run.directory), "seeds": list(run.spec.seeds)}, text, as_json)
+
+
+def evaluate(
+    run: RunDirectory,
+    episodes: int = 100,
+    first_seed: int = 0,
+    data: str | None = None,
+    as_json: Json = False,
+) -> None:
+    """Score a finished run: success in the environment, or, for your own data, scores on held-out episodes.
+
+    The result, with its whole protocol, is also written to RUN/evaluation.json.
+
+    Args:
+        run: Directory of the run.
+        episodes: Episodes per trained seed.
+        first_seed: Environment seeds count up from here.
+        data: Own data only: where the run's data is now, if it has moved.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider import api
+
+    with _bar("evaluating", "steps") as show:
+        result = api.evaluate(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
+    _answer(result, _evaluation_table(result), as_json)
+
+
+def plot(run: RunDirectory, episodes: int = 6, data: str | None = None, as_json: Json = False) -> None:
+    """Draw a finished run into RUN/plots: learning curves, and what its subgoals look like.
+
+    Args:
+        run: Directory of the run.
+        episodes: Evaluation episodes to draw.
+        data: Where the run's data is now, if it has moved.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider import api
+
+    paths = [str(path) for path in api.plot(run, episodes=episodes, data=data)]
+    _answer({"plots": paths}, "\n".join(paths), as_json)
+
+
+def tasks(as_json: Json = False) -> None:
+    """List the benchmark tasks with their environments, goals and protocols."""
+    from guider.tasks import TASKS
+
+    rows = [
+        {
+            "task": task.name,
+            "summary": task.summary,
+            "environment": task.environment,
+            "goal_indices": list(task.goal_indices),
+            "radius": task.radius,
+            "reach_radius": task.reach_radius,
+            "horizon_steps": task.horizon_steps,
+            "period_steps": task.period_steps,
+            "data": "guider collect" if task.collect else "D4RL file",
+            "paper_score": task.paper_score,
+        }
+        for task in TASKS.values()
+    ]
+    table = Table(box=None)
+    for name in ("task", "data", "steps", "c", "radius", "paper", "environment"):
+        table.add_column(name, no_wrap=True)
+    for row in rows:
+        columns = ("task", "data", "horizon_steps", "period_steps", "radius", "paper_score", "environment")
+        table.add_row(*("-" if row[name] is None else str(row[name]) for name in columns))
+    _answer(rows, table, as_json)
+
+
+def data(
+    action: tyro.conf.Positional[Literal["inspect"]],
+    source: tyro.conf.Positional[str],
+    goal_indices: tuple[int, ...] = (0, 1),
+    format: str | None = None,
+    as_json: Json = False,
+) -> None:
+    """Look at logged data: `guider data inspect SOURCE` reads it as training would and says what it holds.
+
+    Args:
+        action: inspect.
+        source: HDF5, npz, a Minari directory or minari:ID.
+        goal_indices: The state entries that are the goal.
+        format: How to read it, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider import data as sources
+
+    assert action == "inspect"
+    description = sources.describe(sources.load(source, goal_indices, format=format))
+    lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in description.items()]
+    _answer(description, "\n".join(lines), as_json)
+
+
+def collect(task: TaskName, out: Path, steps: int = 200_000, seed: int = 0, as_json: Json = False) -> None:
+    """Record data for a task on this machine, reproducibly from a seed, as D4RL-style HDF5.
+
+    Args:
+        task: A task whose data `guider tasks` says can be collected.
+        out: New HDF5 file.
+        steps: Rows to record.
+        seed: Equal seeds give equal files.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider.tasks import find_task
+
+    found = find_task(task)
+    if found.collect is None:
+        raise GuiderError(f"{task} cannot be collected here; train it on D4RL's file for it, with --data FILE")
+    if out.exists():
+        raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
+    if steps < 2:
+        raise GuiderError(f"--steps must be at least 2, got {steps}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with _bar("recording", "steps") as show:
+        found.collect(steps, seed, out, show)
+    _answer({"data": str(out), "steps": steps, "seed": seed}, f"recorded {out}", as_json)
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "train": train,
+    "evaluate": evaluate,
+    "plot": plot,
+    "tasks": tasks,
+    "data": data,
+    "collect": collect,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command. Returns the exit status: 0, or 1 after one line that says what was wrong."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="guider",
+            description="Learn long, sparse-reward tasks from logged data: collect or bring data, train, evaluate, plot.",
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except GuiderError as error:
+        print(f"guider: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("guider: interrupted; a training run goes on with `guider train --resume RUN`", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _answer(document: Any, text: Any, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(document))
+    else:
+        Console(highlight=False, soft_wrap=isinstance(text, str)).print(text)
+
+
+def _assignments(texts: tuple[str, ...]) -> dict[str, str]:
+    for text in texts:
+        if "=" not in text:
+            raise GuiderError(f"--set takes NAME=VALUE pairs, got {text!r}")
+    return {name: value for name, value in (text.split("=", 1) for text in texts)}
+
+
+def _both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
+    def call(*arguments: Any) -> None:
+        first(*arguments)
+        second(*arguments)
+
+    return call
+
+
+def _progress(*columns: Any) -> Progress:
+    return Progress(
+        TextColumn("{task.description:>16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        *columns,
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+
+
+@contextmanager
+def _bar(description: str, unit: str):
+    with _progress(TextColumn(unit)) as progress:
+        bar = progress.add_task(description, total=None)
+        yield lambda done, total: progress.update(bar, completed=done, total=total)
+
+
+@contextmanager
+def _stage_bars():
+    """A bar per stage, fed by the engine's chunks: updates done, rate, time left."""
+    with _progress(TextColumn("{task.fields[rate]:.0f}/s")) as progress:
+        bars: dict[int, Any] = {}
+
+        def show(chunk: Any, state: Any) -> None:
+            index = chunk.position.stage
+            if index not in bars:
+                bars[index] = progress.add_task(chunk.stage.name, total=chunk.stage.updates, rate=0.0)
+            progress.update(
+                bars[index], completed=chunk.position.update, rate=chunk.updates / chunk.seconds
+            )
+
+        yield show
+
+
+def _evaluation_table(result: dict[str, Any]) -> Table:
+    table = Table(box=None, title=f"{result['task'] or result['data']}, preset {result['preset']}")
+    table.add_column("seed")
+    if result["task"] is None:
+        names = list(result["per_seed"][0])
+        for name in names:
+            table.add_column(name.replace("_", " "))
+        for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
+            table.add_row(str(seed), *(f"{scores[name]:.3f}" for name in names))
+        return table
+    for name in ("success %", "95 % interval", "median steps"):
+        table.add_column(name, no_wrap=True)
+    for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
+        low, high = scores["interval_95"]
+        table.add_row(str(seed), f"{scores['success']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"]))
+    low, high = result["interval_95"]
+    table.add_row("all", f"{result['success']:.1f}", f"{low} to {high}", "")
+    return table
+
+
+def _short(value: Any) -> str:
+    return ", ".join(f"{name} {_short(item)}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

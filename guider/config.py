@@ -1,0 +1,110 @@
+"""Frozen dataclass configs to and from JSON and the command line, with every value checked."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import difflib
+import types
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from guider.errors import GuiderError
+
+C = TypeVar("C")
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Nested plain values, fit for JSON."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config") -> C:
+    """The inverse of `to_dict`. Raises GuiderError on unknown or missing names and on values of a wrong type."""
+    hints = get_type_hints(config_type)
+    for name in values:
+        if name not in hints:
+            raise GuiderError(f"{where} has no setting {name!r}{_near(name, hints)}")
+    for name in hints:
+        if name not in values:
+            raise GuiderError(f"{where} lacks the setting {name!r}; it was written by another version")
+    return config_type(**{name: _convert(hints[name], value, f"{where}.{name}") for name, value in values.items()})
+
+
+def override(config: C, assignments: dict[str, str]) -> C:
+    """Replace settings named by dotted paths with values as typed on a command line: {"high.samples": "4"}."""
+    values = to_dict(config)
+    for path, text in assignments.items():
+        *parents, name = path.split(".")
+        inner = values
+        for parent in parents:
+            inner = inner.get(parent) if isinstance(inner, dict) else None
+        if not isinstance(inner, dict) or name not in inner or isinstance(inner[name], dict):
+            raise GuiderError(f"no setting is called {path!r}{_near(path, flatten(values))}")
+        inner[name] = _parse(text)
+    return from_dict(type(config), values)
+
+
+def differences(config: Any, reference: Any) -> dict[str, Any]:
+    """Dotted names and values of the settings in which `config` departs from `reference`."""
+    ours, theirs = flatten(to_dict(config)), flatten(to_dict(reference))
+    return {name: value for name, value in ours.items() if value != theirs[name]}
+
+
+def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """{"high": {"samples": 4}} -> {"high.samples": 4}."""
+    flat = {}
+    for name, value in values.items():
+        flat |= flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+def check_fraction(config: Any, *names: str) -> None:
+    """Raise GuiderError unless the named settings lie in [0, 1]."""
+    for name in names:
+        if not 0 <= getattr(config, name) <= 1:
+            raise GuiderError(f"{name} must lie between 0 and 1, got {getattr(config, name)}")
+
+
+def check_positive(config: Any, *names: str) -> None:
+    """Raise GuiderError unless the named settings are above 0."""
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise GuiderError(f"{name} must be above 0, got {getattr(config, name)}")
+
+
+def _near(name: str, names: Any) -> str:
+    near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(near)}?" if near else f"; there are {', '.join(names)}"
+
+
+def _parse(text: str) -> Any:
+    try:
+        return ast.literal_eval({"true": "True", "false": "False", "none": "None"}.get(text.lower(), text))
+    except (ValueError, SyntaxError):
+        return text
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    """`value` as JSON or a command line gives it, as the type the hint names."""
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        if isinstance(value, dict):
+            return from_dict(hint, value, where)
+    elif get_origin(hint) is Literal:
+        if value in get_args(hint):
+            return value
+        raise GuiderError(f"{where} must be one of {', '.join(map(str, get_args(hint)))}, got {value!r}")
+    elif get_origin(hint) in (Union, types.UnionType):
+        if value is None and type(None) in get_args(hint):
+            return None
+        (inner,) = (option for option in get_args(hint) if option is not type(None))
+        return _convert(inner, value, where)
+    elif get_origin(hint) is tuple:
+        if isinstance(value, list | tuple):
+            return tuple(_convert(get_args(hint)[0], item, where) for item in value)
+    elif hint is Any:
+        return value
+    elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    elif type(value) is hint:
+        return value
+    raise GuiderError(f"{where} must be of type {getattr(hint, '__name__', hint)}, got {value!r}")

@@ -1,0 +1,257 @@
+"""Training runs on disk: start, record, resume, load.
+
+A run is a directory:
+    run.json            everything that determines the run (RunSpec), and what it was made with
+    metrics.jsonl       a line per chunk of updates: stage, update, seconds, means per seed
+    evaluations.jsonl   a line per evaluation during training
+    evaluation.json     what `guider evaluate` found last
+    checkpoints/        the whole training state, newest two
+    plots/              what `guider plot` drew
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from guider import checkpoint
+from guider.config import from_dict, to_dict
+from guider.episodes import Episodes, Spaces
+from guider.errors import GuiderError
+from guider.methods import METHODS
+from guider.policy import Policy
+from guider.training import Chunk, Position, init_seeds, train
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class RunSpec:
+    """What determines a run, to the bit, on one machine.
+
+    task: benchmark task, None for one's own data; data: where the episodes came from; format: how they
+    were read, None if told by content; fingerprint: of the episodes trained on; held_out: fraction of
+    episodes kept for `guider evaluate`; config: the method's settings; spaces: dimensions and action bounds.
+    """
+
+    task: str | None
+    data: str
+    format: str | None
+    fingerprint: str
+    held_out: float
+    method: str
+    preset: str
+    seeds: tuple[int, ...]
+    config: Any
+    spaces: Spaces
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory and its spec."""
+
+    directory: Path
+    spec: RunSpec
+
+    @property
+    def stages(self):
+        return METHODS[self.spec.method].stages(self.spec.config)
+
+    def restore(self) -> tuple[Position, Any]:
+        """The newest checkpoint: (position, state of all seeds on the host)."""
+        return checkpoint.restore(self.directory / "checkpoints", _state_template(self.spec))
+
+    def policies(self) -> list[Policy]:
+        """The trained policy of every seed. Raises GuiderError while training is unfinished."""
+        position, state = self.restore()
+        last = self.stages[-1]
+        if position != Position(len(self.stages) - 1, last.updates):
+            stage = self.stages[position.stage]
+            raise GuiderError(
+                f"{self.directory} stopped after {position.update} of {stage.updates} updates of the "
+                f"{stage.name} stage; finish it with `guider train --resume {self.directory}`"
+            )
+        return policies(self.spec, state)
+
+
+def policies(spec: RunSpec, state: Any) -> list[Policy]:
+    """One policy per seed from a state whose leaves are [seeds, ...]."""
+    return [
+        Policy(
+            state=jax.tree.map(lambda leaf, i=index: jnp.asarray(leaf[i]), state),
+            action_low=jnp.asarray(spec.spaces.action_low, jnp.float32),
+            action_high=jnp.asarray(spec.spaces.action_high, jnp.float32),
+            method=spec.method,
+            config=spec.config,
+            goal_indices=spec.spaces.goal_indices,
+            state_dim=spec.spaces.state_dim,
+        )
+        for index in range(len(spec.seeds))
+    ]
+
+
+def start(
+    directory: Path, spec: RunSpec, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], **pace: Any
+) -> Run:
+    """Train a new run from the beginning. Raises GuiderError if `directory` is taken. See `_train` for pace."""
+    if directory.exists():
+        raise GuiderError(
+            f"{directory} exists already and is never overwritten; choose another --out, "
+            f"or continue it with `guider train --resume {directory}`"
+        )
+    directory.mkdir(parents=True)
+    write_json(directory / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
+    run = Run(directory, spec)
+    _train(run, episodes, None, on_chunk, **pace)
+    return run
+
+
+def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], **pace: Any) -> None:
+    """Continue a run from its newest checkpoint, or from the beginning where it has none yet.
+
+    The result is bit-equal to that of an uninterrupted run. Raises GuiderError if `episodes` are not the data
+    the run was started with.
+    """
+    fingerprint = episodes.fingerprint()
+    if fingerprint != run.spec.fingerprint:
+        raise GuiderError(
+            f"{episodes.source} (fingerprint {fingerprint}) is not the data {run.directory} was trained on "
+            f"({run.spec.data}, fingerprint {run.spec.fingerprint}); give that with --data"
+        )
+    has_checkpoint = any((run.directory / "checkpoints").glob("*"))
+    _train(run, episodes, run.restore() if has_checkpoint else None, on_chunk, **pace)
+
+
+def _train(
+    run: Run,
+    episodes: Episodes,
+    restored: tuple[Position, Any] | None,
+    on_chunk: Callable[[Chunk, Any], None],
+    chunk_updates: int = 500,
+    checkpoint_seconds: float = 60.0,
+) -> None:
+    """Run the stages, logging every chunk and checkpointing every `checkpoint_seconds` and at each stage's end."""
+    method, spec = METHODS[run.spec.method], run.spec
+    training = episodes.split(spec.held_out)[0] if spec.held_out else episodes
+    data, scale = method.prepare(spec.config, training)
+    if restored is None:
+        begin = Position(0, 0)
+        state = init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds)
+    else:
+        begin, state = restored
+        state = jax.tree.map(jnp.asarray, state)
+    stages = run.stages
+    for name in ("metrics.jsonl", "evaluations.jsonl"):
+        _drop_later_lines(run.directory / name, total_updates(stages, begin))
+    saved_at = time.monotonic()
+
+    def record(chunk: Chunk, state: Any) -> None:
+        nonlocal saved_at
+        total = total_updates(stages, chunk.position)
+        line = {
+            "stage": chunk.stage.name,
+            "update": chunk.position.update,
+            "total_updates": total,
+            "seconds": round(chunk.seconds, 4),
+            "metrics": {name: np.asarray(value).tolist() for name, value in chunk.metrics.items()},
+        }
+        append_line(run.directory / "metrics.jsonl", line)
+        on_chunk(chunk, state)
+        stage_ends = chunk.position.update == chunk.stage.updates
+        if stage_ends or time.monotonic() - saved_at > checkpoint_seconds:
+            checkpoint.save(run.directory / "checkpoints", total, chunk.position, state)
+            saved_at = time.monotonic()
+
+    train(stages, state, data, spec.seeds, start=begin, chunk_updates=chunk_updates, on_chunk=record)
+
+
+def open_run(directory: str | Path) -> Run:
+    """The run in `directory`. Raises GuiderError if it is not one, or was written by another version."""
+    directory = Path(directory)
+    path = directory / "run.json"
+    try:
+        values = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise GuiderError(f"{directory} is not a run: it has no run.json") from None
+    except (OSError, ValueError) as error:
+        raise GuiderError(f"{path} cannot be read: {error}") from error
+    if not isinstance(values, dict) or values.pop("run_format", None) != FORMAT:
+        raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
+    values.pop("made_with", None)
+    method = values.get("method")
+    if method not in METHODS:
+        raise GuiderError(f"{path} names the method {method!r}; there are {', '.join(METHODS)}")
+    config = from_dict(METHODS[method].config_type, values.pop("config", {}), f"{path}: config")
+    spec = from_dict(RunSpec, {**values, "config": config}, str(path))
+    return Run(directory, spec)
+
+
+def total_updates(stages: Sequence[Any], position: Position) -> int:
+    """Updates done over all stages at `position`."""
+    return sum(stage.updates for stage in stages[: position.stage]) + position.update
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """All complete lines of a JSONL file; a line cut off by a crash is left out."""
+    if not path.exists():
+        return []
+    lines = []
+    for text in path.read_text().splitlines():
+        try:
+            lines.append(json.loads(text))
+        except ValueError:
+            continue
+    return lines
+
+
+def append_line(path: Path, value: dict[str, Any]) -> None:
+    """Add one line to a JSONL file."""
+    with path.open("a") as file:
+        file.write(json.dumps(value) + "\n")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON under a temporary name, then rename: readers see the old file or the new one, never half."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(json.dumps(value, indent=1) + "\n")
+    temporary.replace(path)
+
+
+def versions() -> dict[str, str]:
+    """The software a result depends on."""
+    packages = ("guider-rl", "jax", "optax", "numpy", "mujoco", "gymnasium")
+    found = {"python": platform.python_version(), "device": jax.default_backend()}
+    for package in packages:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
+
+def _drop_later_lines(path: Path, total: int) -> None:
+    """Forget lines written after the checkpoint that training continues from."""
+    if path.exists():
+        kept = [line for line in read_lines(path) if line["total_updates"] <= total]
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
+        temporary.replace(path)
+
+
+def _state_template(spec: RunSpec) -> Any:
+    method = METHODS[spec.method]
+    scale = method.unit_scale(spec.spaces)
+    return jax.eval_shape(
+        lambda: init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds)
+    )
