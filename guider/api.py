@@ -11,7 +11,7 @@ import numpy as np
 
 from guider import data as data_sources
 from guider import runs
-from guider.config import override, to_dict
+from guider.config import override
 from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
@@ -105,19 +105,15 @@ def resume(
     data: where the run's data is now, if it has moved. Raises GuiderError if it is not the same data.
     """
     opened = runs.open_run(run)
-    spec = opened.spec
-    episodes = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
-    runs.resume(opened, episodes, _with_evaluation(opened.directory, spec, evaluate_every, on_chunk), **pace)
+    callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
+    runs.resume(opened, _same_data(opened, data), callback, **pace)
     return opened
 
 
 def load(run: str | Path | Run, seed: int | None = None) -> Agent:
     """The trained agent of a run, ready to `reset()` and `act(observation, goal)`. seed: default the first."""
     opened = run if isinstance(run, Run) else runs.open_run(run)
-    seeds = opened.spec.seeds
-    if seed is not None and seed not in seeds:
-        raise GuiderError(f"{opened.directory} trained seeds {', '.join(map(str, seeds))}, not {seed}")
-    return Agent(opened.policies()[0 if seed is None else seeds.index(seed)])
+    return Agent(opened.policies()[_seed_index(opened, seed)])
 
 
 def evaluate(
@@ -150,9 +146,7 @@ def evaluate(
         "versions": runs.versions(),
     }
     if spec.task is None:
-        logged = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
-        if logged.fingerprint() != spec.fingerprint:
-            raise GuiderError(f"{logged.source} is not the data {opened.directory} was trained on; give that with --data")
+        logged = _same_data(opened, data)
         if spec.held_out == 0:
             raise GuiderError(f"{opened.directory} held no episodes out; train with --held-out 0.1 to score it")
         unseen = logged.split(spec.held_out)[1]
@@ -177,6 +171,47 @@ def evaluate(
         result = protocol | _summary(task, outcomes, first_seed)
     runs.write_json(opened.directory / "evaluation.json", result)
     return result
+
+
+def plot(
+    run: str | Path | Run,
+    *,
+    seed: int | None = None,
+    first_seed: int = 0,
+    data: str | Path | Episodes | None = None,
+) -> list[Path]:
+    """Draw a finished run into its folder `plots` (see guider.plots.draw_run) and return the paths.
+
+    seed: which trained seed's subgoals to draw, default the first; first_seed: of the episodes rolled out;
+    data: where the run's data is now, if it has moved.
+    """
+    from guider.plots import draw_run  # matplotlib takes a second to import
+
+    opened = run if isinstance(run, Run) else runs.open_run(run)
+    spec = opened.spec
+    episodes = _same_data(opened, data)
+    chosen = _seed_index(opened, seed)
+    return draw_run(opened, find_task(spec.task) if spec.task else None, episodes, spec.seeds[chosen], first_seed)
+
+
+def _seed_index(run: Run, seed: int | None) -> int:
+    seeds = run.spec.seeds
+    if seed is not None and seed not in seeds:
+        raise GuiderError(f"{run.directory} trained seeds {', '.join(map(str, seeds))}, not {seed}")
+    return 0 if seed is None else seeds.index(seed)
+
+
+def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
+    """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same."""
+    spec = run.spec
+    episodes = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
+    fingerprint = episodes.fingerprint()
+    if fingerprint != spec.fingerprint:
+        raise GuiderError(
+            f"{episodes.source} (fingerprint {fingerprint}) is not the data {run.directory} was trained on "
+            f"({spec.data}, fingerprint {spec.fingerprint}); give that with --data"
+        )
+    return episodes
 
 
 def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:

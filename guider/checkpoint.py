@@ -44,9 +44,7 @@ def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree]:
         step = manager.latest_step()
         if step is None:
             raise GuiderError(f"{directory.parent} holds no checkpoint yet; train it again from the start")
-        arguments = ocp.args.Composite(
-            state=ocp.args.StandardRestore(template), position=ocp.args.JsonRestore()
-        )
+        arguments = ocp.args.Composite(state=ocp.args.StandardRestore(template), position=ocp.args.JsonRestore())
         try:
             restored = manager.restore(step, args=arguments)
         except (ValueError, KeyError, OSError) as error:

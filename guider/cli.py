@@ -122,18 +122,18 @@ def evaluate(
     _answer(result, _evaluation_table(result), as_json)
 
 
-def plot(run: RunDirectory, episodes: int = 6, data: str | None = None, as_json: Json = False) -> None:
+def plot(run: RunDirectory, seed: int | None = None, data: str | None = None, as_json: Json = False) -> None:
     """Draw a finished run into RUN/plots: learning curves, and what its subgoals look like.
 
     Args:
         run: Directory of the run.
-        episodes: Evaluation episodes to draw.
+        seed: Which trained seed to draw; by default the first.
         data: Where the run's data is now, if it has moved.
         as_json: Print one JSON document instead of text.
     """
     from guider import api
 
-    paths = [str(path) for path in api.plot(run, episodes=episodes, data=data)]
+    paths = [str(path) for path in api.plot(run, seed=seed, data=data)]
     _answer({"plots": paths}, "\n".join(paths), as_json)
 
 
@@ -294,9 +294,7 @@ def _stage_bars():
             index = chunk.position.stage
             if index not in bars:
                 bars[index] = progress.add_task(chunk.stage.name, total=chunk.stage.updates, rate=0.0)
-            progress.update(
-                bars[index], completed=chunk.position.update, rate=chunk.updates / chunk.seconds
-            )
+            progress.update(bars[index], completed=chunk.position.update, rate=chunk.updates / chunk.seconds)
 
         yield show
 
@@ -322,7 +320,9 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
 
 
 def _short(value: Any) -> str:
-    return ", ".join(f"{name} {_short(item)}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+    return (
+        ", ".join(f"{name} {_short(item)}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+    )
 
 
 if __name__ == "__main__":

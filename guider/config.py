@@ -72,6 +72,12 @@ def check_positive(config: Any, *names: str) -> None:
             raise GuiderError(f"{name} must be above 0, got {getattr(config, name)}")
 
 
+def check_shares(config: Any) -> None:
+    """Raise GuiderError if relabelled and random goals together are more than all goals."""
+    if config.relabel_fraction + config.random_goal_fraction > 1 + 1e-9:
+        raise GuiderError("relabel_fraction and random_goal_fraction add up to more than 1")
+
+
 def _near(name: str, names: Any) -> str:
     near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(near)}?" if near else f"; there are {', '.join(names)}"

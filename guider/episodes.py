@@ -163,9 +163,7 @@ def make_episodes(
             "(the last of an episode is ignored)"
         )
     if lengths.ndim != 1 or lengths.dtype.kind not in "iu" or np.any((lengths < 1) | (lengths > rows)):
-        raise fail(
-            f"episode lengths must be a 1-D array of whole numbers from 1 to {rows}, the number of rows"
-        )
+        raise fail(f"episode lengths must be a 1-D array of whole numbers from 1 to {rows}, the number of rows")
     if lengths.sum() != rows:
         raise fail(f"episode lengths sum to {lengths.sum()} but there are {rows} rows")
     lengths = lengths.astype(np.int64)
@@ -205,9 +203,7 @@ def check_goal_indices(goal_indices: Sequence[int], state_dim: int, source: str)
     if not indices or len(set(indices)) != len(indices):
         raise GuiderError(f"{source}: goal indices {indices} must name at least one state entry, each once")
     if min(indices) < 0 or max(indices) >= state_dim:
-        raise GuiderError(
-            f"{source}: goal indices {indices} must lie in 0..{state_dim - 1}, the entries of a state"
-        )
+        raise GuiderError(f"{source}: goal indices {indices} must lie in 0..{state_dim - 1}, the entries of a state")
     return indices
 
 
@@ -220,9 +216,7 @@ def _as_float32(array: np.ndarray, name: str, fail) -> np.ndarray:
 def _numbers(array: np.ndarray, name: str, fail) -> np.ndarray:
     array = np.asarray(array)
     if array.ndim != 2 or 0 in array.shape or array.dtype.kind not in "fiu":
-        raise fail(
-            f"{name} must be a non-empty 2-D array of numbers, got {array.dtype} of shape {array.shape}"
-        )
+        raise fail(f"{name} must be a non-empty 2-D array of numbers, got {array.dtype} of shape {array.shape}")
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(array, dtype=np.float32)
 

@@ -56,7 +56,14 @@ def rollout(
         for first in range(0, episodes, copies):
             seeds = first_seed + first + np.arange(copies)
             batch = _rollout_batch(
-                policy, task, env, seeds, max(0, keep_traces - first), lambda t, f=first: on_steps(f * task.horizon_steps // copies + t, -(-episodes // copies) * task.horizon_steps)
+                policy,
+                task,
+                env,
+                seeds,
+                max(0, keep_traces - first),
+                lambda t, f=first: on_steps(
+                    f * task.horizon_steps // copies + t, -(-episodes // copies) * task.horizon_steps
+                ),
             )
             batches.append(batch)
     finally:
@@ -82,7 +89,13 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     for step in range(task.horizon_steps):
         actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
         if keep_traces:
-            history.append((observation[:keep_traces, goal_indices].copy(), np.asarray(acting.subgoal[:keep_traces]), np.asarray(acting.steps_left[:keep_traces])))
+            history.append(
+                (
+                    observation[:keep_traces, goal_indices].copy(),
+                    np.asarray(acting.subgoal[:keep_traces]),
+                    np.asarray(acting.steps_left[:keep_traces]),
+                )
+            )
         observation = env.step(np.asarray(actions), active)
         met = active & (np.linalg.norm(observation[:, goal_indices] - goal, axis=1) <= task.radius)
         success |= met

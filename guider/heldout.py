@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.episodes import Episodes
+from guider.methods import goal_policy
 from guider.methods.guider import high_inputs, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.subgoal_policy import propose
-from guider.methods import goal_policy
 from guider.networks import twin_values
 from guider.policy import Policy
 

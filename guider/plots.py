@@ -1,7 +1,7 @@
 """Pictures of a run: how it learned, which subgoals it proposes, and where it went.
 
-Every picture is a pure function from data to a matplotlib Figure; `draw_run` saves those of one run. `title` is
-the first line of a picture's title, see `caption`. Positions are in goal units, which are metres in mazes.
+Every picture is a pure function from data to a matplotlib Figure; `draw_run` saves those of one run. `title`
+is the first line of a picture's title, see `caption`. Positions are in goal units, which are metres in mazes.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.path import Path as Outline
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import EngFormatter
 
 from guider.episodes import Episodes
@@ -41,15 +43,14 @@ TIME_COLOURS = "viridis"
 FLAG = Outline([(0, 0), (0.08, 0), (0.08, 0.45), (0.75, 0.72), (0, 1), (0, 0)])
 DOTS_PER_INCH = 120
 LOGGED_SHOWN = 20_000
-EPISODES_SHOWN = 6
 EPISODES_MEASURED = 20
 
 METRIC_LABELS = {
     "squared_error": "squared error (goal units²)",
-    "kl": "KL(q || rho) (nats)",
-    "value": "critic value of logged latents / actions",
+    "kl": "KL of posterior and prior (nats)",
+    "value": "critic value",
     "td_error": "TD error",
-    "divergence": "KL(pi_h || rho) (nats)",
+    "divergence": "KL of policy and prior (nats)",
     "conservative_gap": "conservative gap",
     "action_error": "squared error of actions",
     "weight": "advantage weight",
@@ -100,9 +101,7 @@ def success_curve(lines: Sequence[dict[str, Any]], title: str) -> Figure:
     rates = 100 * np.array([line["success"] for line in lines])
     mean, deviation = rates.mean(axis=1), rates.std(axis=1)
     seeds, episodes = rates.shape[1], lines[-1]["episodes"]
-    figure = _figure(
-        f"{title}\nmean and standard deviation of {seeds} seeds, {episodes} episodes each", (6, 4)
-    )
+    figure = _figure(f"{title}\nmean and standard deviation of {seeds} seeds, {episodes} episodes each", (6, 4))
     axes = figure.subplots()
     axes.fill_between(updates, mean - deviation, mean + deviation, color=BLUE, alpha=0.2, linewidth=0)
     _seed_lines(axes, updates, rates, "o-")
@@ -115,17 +114,17 @@ def episodes_in_maze(
 ) -> Figure:
     """Where evaluation episodes went, coloured by time, with their subgoals in order (Figures 1b and 3).
 
-    traces: of the episode seeds first_seed, first_seed + 1, ...; stars are thinned by `legible_subgoals`.
+    traces: of the episode seeds first_seed, first_seed + 1, ...; stars are thinned, see `legible_subgoals`.
     """
     reached = sum(trace.success for trace in traces)
-    seeds = f"episode seeds {first_seed} to {first_seed + len(traces) - 1}"
     columns = min(3, len(traces))
     rows = -(-len(traces) // columns)
     width, height = _panel_size(maze, 4.4)
     figure = _figure(
-        f"{title}\n{seeds}: {reached} of {len(traces)} goals reached", (columns * width, rows * height + 1.1)
+        f"{title}\n{_seed_range(first_seed, len(traces))}: {reached} of {len(traces)} goals reached",
+        (columns * width, rows * height + 0.6),
     )
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     path = LineCollection([])
     for index, (axes, trace) in enumerate(zip(panels, traces, strict=False)):
         _ground(axes, maze, logged)
@@ -135,31 +134,33 @@ def episodes_in_maze(
         _flag(axes, trace.goal, task.radius)
         outcome = "reached after" if trace.success else "NOT reached in"
         axes.set_title(f"seed {first_seed + index}: {outcome} {len(trace.achieved)} steps", fontsize=9)
+        axes.label_outer()
     for axes in panels[len(traces) :]:
         axes.remove()
-    bar = figure.colorbar(path, ax=list(panels[: len(traces)]), fraction=0.02, pad=0.01)
-    bar.set_label("environment step", fontsize=8)
-    bar.ax.tick_params(labelsize=8)
+    _colour_bar(figure, path, list(panels[: len(traces)]), "environment step")
     _legend(figure, [_logged_handle(), _star_handle("subgoals in order (thinned)"), _flag_handle()])
     return figure
 
 
 def legible_subgoals(trace: Trace, spacing: float) -> np.ndarray:
-    """[stars] steps at which a subgoal was chosen that lies further than `spacing` from every one before it.
+    """[stars] steps at which a subgoal was chosen, thinned by `spaced`.
 
     A policy that asks anew whenever a subgoal is reached chooses too many to be read.
     """
-    chosen: list[int] = []
-    for step in np.flatnonzero(trace.renewed):
-        shown = trace.subgoals[chosen]
-        if (np.linalg.norm(shown - trace.subgoals[step], axis=1) > spacing).all():
-            chosen.append(int(step))
-    return np.array(chosen, int)
+    steps = np.flatnonzero(trace.renewed)
+    return steps[spaced(trace.subgoals[steps], spacing)]
 
 
-def subgoal_arrows(
-    task: Task, maze: Maze, logged: Episodes, policy: Policy, goal: np.ndarray, title: str
-) -> Figure:
+def spaced(points: np.ndarray, spacing: float) -> np.ndarray:
+    """[kept] indices of points [N, G] that lie further than `spacing` from all kept before them."""
+    kept: list[int] = []
+    for index, point in enumerate(points):
+        if (np.linalg.norm(points[kept] - point, axis=1) > spacing).all():
+            kept.append(index)
+    return np.array(kept, int)
+
+
+def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goal: np.ndarray, title: str) -> Figure:
     """From positions all over the maze, the subgoal proposed on the way to `goal` [2].
 
     Colour is the critic's value of that subgoal; those inside a wall have a colour of their own.
@@ -167,21 +168,20 @@ def subgoal_arrows(
     starts = maze_positions(maze, per_cell=3)
     subgoals, values = proposals(policy, starts, goal)
     moves = subgoals - starts
-    walled, free = in_wall(maze, subgoals), ~in_wall(maze, subgoals)
+    walled = in_wall(maze, subgoals)
     width, height = _panel_size(maze, 9.0)
     figure = _figure(
         f"{title}\nsubgoals proposed towards the goal: median length "
         f"{np.median(np.linalg.norm(moves, axis=1)):.1f} m, {walled.mean():.0%} inside a wall",
-        (width, height + 0.8),
+        (width, height + 0.1),
     )
     axes = figure.subplots()
     _ground(axes, maze, logged)
     size: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.0018, "zorder": 4}
-    arrows = axes.quiver(*starts[free].T, *moves[free].T, values[free], cmap=TIME_COLOURS, **size)
+    arrows = axes.quiver(*starts.T, *moves.T, values, cmap=TIME_COLOURS, **size)
     axes.quiver(*starts[walled].T, *moves[walled].T, color=RED, **size)
     _flag(axes, goal, task.radius)
-    bar = figure.colorbar(arrows, ax=axes, fraction=0.03, pad=0.01)
-    bar.set_label("critic value Q(position, subgoal, goal)", fontsize=8)
+    _colour_bar(figure, arrows, [axes], "critic value of the subgoal")
     inside = Line2D([], [], color=RED, marker=">", markersize=4, label="subgoal inside a wall")
     _legend(figure, [_logged_handle(), inside, _flag_handle()])
     return figure
@@ -204,18 +204,20 @@ def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[n
 
     achieved: [B, G]; goal: [G] or [B, G]. Returns ([B, G], [B]).
     """
-    state: guider.GuiderState = policy.state
-    here = jnp.asarray(achieved, jnp.float32)
-    goals = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), here.shape)
-    subgoals, latents = guider.propose_subgoal(policy.config, state, here, goals)
-    inputs = guider.high_inputs(state.scale, here, goals)
-    values = twin_values(state.high.params.critic, inputs, latents).min(axis=0)
+    goals = np.broadcast_to(goal, achieved.shape)
+    subgoals, values = _proposals(policy, jnp.asarray(achieved, jnp.float32), jnp.asarray(goals, jnp.float32))
     return np.asarray(subgoals), np.asarray(values)
 
 
-def reachable_in_maze(
-    maze: Maze, logged: Episodes, policy: Policy, positions: np.ndarray, title: str
-) -> Figure:
+@jax.jit
+def _proposals(policy: Policy, achieved: jax.Array, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
+    state: guider.GuiderState = policy.state
+    subgoal, latent = guider.propose_subgoal(policy.config, state, achieved, goal)
+    inputs = guider.high_inputs(state.scale, achieved, goal)
+    return subgoal, twin_values(state.high.params.critic, inputs, latent).min(axis=0)
+
+
+def reachable_in_maze(maze: Maze, logged: Episodes, policy: Policy, positions: np.ndarray, title: str) -> Figure:
     """What is reachable in c steps of a few positions: the prior rho, decoded, beside what the data did.
 
     positions: [P, 2]. The data's outcomes are those of the windows the prior learns from that start within an
@@ -226,7 +228,7 @@ def reachable_in_maze(
     columns = min(4, len(positions))
     rows = -(-len(positions) // columns)
     period = policy.config.period_steps
-    figure = _figure(f"{title}\nreachable in c = {period} steps", (3.3 * columns, 3.5 * rows + 0.9))
+    figure = _figure(f"{title}\nreachable in c = {period} steps (median lengths)", (3.3 * columns, 3.5 * rows + 0.7))
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, position, decoded in zip(panels, positions, samples, strict=False):
         near = np.linalg.norm(starts - position, axis=1) <= maze.cell_size_m / 8
@@ -235,15 +237,12 @@ def reachable_in_maze(
         axes.plot(*outcomes.T, "o", color=BLUE, markersize=2.5, markeredgewidth=0, zorder=3)
         axes.plot(*decoded.T, "o", color=ORANGE, markersize=2.5, markeredgewidth=0, zorder=4)
         axes.plot(*position, "P", color=DARK, markeredgecolor="white", markersize=9, zorder=6)
-        reach = max(2.5 * maze.cell_size_m, 1.1 * np.abs(decoded - position).max())
-        axes.set(
-            xlim=(position[0] - reach, position[0] + reach), ylim=(position[1] - reach, position[1] + reach)
-        )
+        reach = 3 * maze.cell_size_m
+        axes.set_xlim(position[0] - reach, position[0] + reach)
+        axes.set_ylim(position[1] - reach, position[1] + reach)
         lengths = f"prior {_median_length(decoded - position)}, data {_median_length(later[near] - position)}"
-        axes.set_title(
-            f"({position[0]:g}, {position[1]:g}): {lengths}\n{in_wall(maze, decoded).mean():.0%} of the prior inside a wall",
-            fontsize=9,
-        )
+        walled = f"{in_wall(maze, decoded).mean():.0%} of the prior inside a wall"
+        axes.set_title(f"({position[0]:g}, {position[1]:g}): {lengths}\n{walled}", fontsize=9)
     for axes in panels[len(positions) :]:
         axes.remove()
     _legend(
@@ -260,13 +259,18 @@ def reachable_in_maze(
 
 def prior_samples(policy: Policy, achieved: np.ndarray, count: int) -> np.ndarray:
     """[B, count, G]: subgoals z ~ rho(. | s^G), decoded, for each of achieved [B, G]."""
+    return np.asarray(_prior_samples(policy, jnp.asarray(achieved, jnp.float32), count)).swapaxes(0, 1)
+
+
+@partial(jax.jit, static_argnums=2)
+def _prior_samples(policy: Policy, achieved: jax.Array, count: int) -> jax.Array:
+    """[count, B, G]."""
     state: guider.GuiderState = policy.state
-    here = jnp.asarray(achieved, jnp.float32)
-    reachable = latent_subgoals.prior(state.latent.params, state.scale, here)
+    params = state.latent.params
+    reachable = latent_subgoals.prior(params, state.scale, achieved)
     latents = reachable.sample(jax.random.key(0), (count,))
-    origins = jnp.broadcast_to(here, (count, *here.shape))
-    decoded = latent_subgoals.decode(policy.config.latent, state.latent.params, state.scale, origins, latents)
-    return np.asarray(decoded).swapaxes(0, 1)
+    origins = jnp.broadcast_to(achieved, (count, *achieved.shape))
+    return latent_subgoals.decode(policy.config.latent, params, state.scale, origins, latents)
 
 
 def data_outcomes(logged: Episodes, config: guider.GuiderConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -338,10 +342,10 @@ def subgoals_met(
     met = gaps <= task.reach_radius
     width, height = _panel_size(maze, 8.0)
     figure = _figure(
-        f"{title}\nepisode seeds {first_seed} to {first_seed + len(traces) - 1}, {len(gaps)} subgoals: after "
+        f"{title}\n{_seed_range(first_seed, len(traces))}, {len(gaps)} subgoals: after "
         f"c = {period_steps} steps the median distance is {np.median(gaps):.2f} m, "
         f"{met.mean():.0%} are within {task.reach_radius:g} m",
-        (width + 3, height + 0.8),
+        (width + 3, height + 0.5),
     )
     plan, histogram = figure.subplots(1, 2, width_ratios=(width, 3))
     _ground(plan, maze, logged)
@@ -349,9 +353,7 @@ def subgoals_met(
         pairs = np.stack([outcomes[chosen], subgoals[chosen]], axis=1)
         plan.add_collection(LineCollection(list(pairs), colors=colour, linewidths=0.7, alpha=0.7, zorder=3))
     plan.plot(*outcomes.T, "o", color=BLUE, markersize=3, markeredgewidth=0, zorder=4)
-    plan.plot(
-        *subgoals.T, "*", color=ORANGE, markersize=6, markeredgecolor=DARK, markeredgewidth=0.3, zorder=5
-    )
+    plan.plot(*subgoals.T, "*", color=ORANGE, markersize=6, markeredgecolor=DARK, markeredgewidth=0.3, zorder=5)
     histogram.hist(gaps, bins=24, color=BLUE, alpha=0.7)
     histogram.axvline(task.reach_radius, color=GREEN, label="counts as reached")
     histogram.axvline(float(np.median(gaps)), color=DARK, linestyle="--", label="median")
@@ -391,24 +393,29 @@ def _subgoals_in_plane(logged: Episodes, held_out: Episodes, policy: Policy, tit
         (5.5 * columns + 0.5, 4.5 * rows + 0.9),
     )
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    spread = logged.achieved.std(axis=0)
     line = LineCollection([])
     for index, (axes, achieved) in enumerate(zip(panels, paths, strict=False)):
         here = achieved[::period]
         subgoals, _ = proposals(policy, here, achieved[-1])
-        samples = prior_samples(policy, here, 20).reshape(-1, 2)
+        shown = spaced(subgoals / spread, 0.2)
+        samples = prior_samples(policy, here[shown], 40).reshape(-1, 2)
         axes.plot(*_thinned(logged.achieved, LOGGED_SHOWN).T, ",", color=LOGGED, zorder=0)
         axes.plot(*samples.T, "o", color=ORANGE, alpha=0.5, markersize=2, markeredgewidth=0, zorder=2)
         line = _timed_path(axes, achieved, max(len(path) for path in paths))
-        _numbered_stars(axes, subgoals)
+        _numbered_stars(axes, subgoals[shown])
         _flag(axes, achieved[-1], policy.config.radius)
         axes.set_title(f"held-out episode {index}, {len(achieved)} states", fontsize=9)
         axes.set(xlabel=_entry_name(logged, 0), ylabel=_entry_name(logged, 1))
+        axes.label_outer()
     for axes in panels[len(paths) :]:
         axes.remove()
-    bar = figure.colorbar(line, ax=list(panels[: len(paths)]), fraction=0.03, pad=0.01)
-    bar.set_label("step of the episode", fontsize=8)
+    _colour_bar(figure, line, list(panels[: len(paths)]), "step of the episode")
     samples_handle = _dot_handle(ORANGE, "samples of the prior, decoded")
-    _legend(figure, [_logged_handle(), _star_handle("subgoals in order"), samples_handle, _flag_handle()])
+    _legend(
+        figure,
+        [_logged_handle(), _star_handle("subgoals in order (thinned)"), samples_handle, _flag_handle()],
+    )
     return figure
 
 
@@ -447,12 +454,14 @@ def _subgoals_over_time(logged: Episodes, held_out: Episodes, policy: Policy, ti
     return figure
 
 
-def draw_run(run: Run, task: Task | None, episodes: Episodes, seed: int, first_seed: int) -> list[Path]:
+def draw_run(
+    run: Run, task: Task | None, episodes: Episodes, seed: int, first_seed: int, episodes_shown: int = 6
+) -> list[Path]:
     """Draw everything there is to draw of a run into its folder `plots`, and return the paths.
 
     episodes: all data of the run, held-out ones included; seed: which of its policies to draw;
-    first_seed: of the evaluation episodes to roll out. Curves come first, and are saved before GuiderError is
-    raised where training is unfinished.
+    first_seed: of the evaluation episodes to roll out, of which `episodes_shown` are drawn. Curves come first,
+    and are saved before GuiderError is raised where training is unfinished.
     """
     spec = run.spec
     folder = run.directory / "plots"
@@ -479,23 +488,26 @@ def draw_run(run: Run, task: Task | None, episodes: Episodes, seed: int, first_s
         return saved
 
     maze, period = task.maze, policy.config.period_steps
-    traces = rollout(policy, task, EPISODES_SHOWN, first_seed, keep_traces=EPISODES_SHOWN).traces
+    traces = rollout(policy, task, episodes_shown, first_seed, keep_traces=episodes_shown).traces
     save(f"episodes-seed{seed}", episodes_in_maze(task, maze, logged, traces, first_seed, title))
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
     positions = spread_positions(maze, logged, 8)
     save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
-    measured = rollout(
-        fixed_period(policy), task, EPISODES_MEASURED, first_seed, keep_traces=EPISODES_MEASURED
-    ).traces
-    save(f"met-seed{seed}", subgoals_met(task, maze, logged, measured, period, first_seed, title))
+    measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed, keep_traces=EPISODES_MEASURED).traces
+    if len(subgoal_gaps(measured, period)):
+        save(f"met-seed{seed}", subgoals_met(task, maze, logged, measured, period, first_seed, title))
     return saved
 
 
 def _figure(title: str, size: tuple[float, float]) -> Figure:
     """An empty figure; size: width and height in inches."""
     figure = Figure(figsize=size, layout="compressed")
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(title, fontsize=10, parse_math=False)
     return figure
+
+
+def _seed_range(first: int, count: int) -> str:
+    return f"episode seeds {first} to {first + count - 1}" if count > 1 else f"episode seed {first}"
 
 
 def _panel_size(maze: Maze, width: float) -> tuple[float, float]:
@@ -506,9 +518,8 @@ def _panel_size(maze: Maze, width: float) -> tuple[float, float]:
 
 def _main_metrics(metrics: dict[str, Any]) -> list[str]:
     order = list(METRIC_LABELS)
-    return sorted(metrics, key=lambda name: order.index(name) if name in order else len(order))[
-        :METRICS_SHOWN
-    ]
+    ranked = sorted(metrics, key=lambda name: order.index(name) if name in order else len(order))
+    return ranked[:METRICS_SHOWN]
 
 
 def _seed_lines(axes: Axes, updates: Sequence[int], values: np.ndarray, style: str = "-") -> None:
@@ -550,9 +561,7 @@ def _timed_path(axes: Axes, achieved: np.ndarray, last_step: int) -> LineCollect
 
 
 def _numbered_stars(axes: Axes, subgoals: np.ndarray) -> None:
-    axes.plot(
-        *subgoals.T, "*", color=ORANGE, markersize=11, markeredgecolor=DARK, markeredgewidth=0.5, zorder=5
-    )
+    axes.plot(*subgoals.T, "*", color=ORANGE, markersize=11, markeredgecolor=DARK, markeredgewidth=0.5, zorder=5)
     for number, position in enumerate(subgoals, start=1):
         axes.annotate(
             str(number),
@@ -569,9 +578,7 @@ def _numbered_stars(axes: Axes, subgoals: np.ndarray) -> None:
 def _flag(axes: Axes, goal: np.ndarray, radius: float) -> None:
     """The final goal, and the circle within which it counts as met."""
     axes.add_patch(Circle((goal[0], goal[1]), radius, facecolor="none", edgecolor=RED, zorder=6))
-    axes.plot(
-        *goal, marker=FLAG, color=RED, markersize=20, markeredgecolor=DARK, markeredgewidth=0.5, zorder=7
-    )
+    axes.plot(*goal, marker=FLAG, color=RED, markersize=20, markeredgecolor=DARK, markeredgewidth=0.5, zorder=7)
 
 
 def _thinned(points: np.ndarray, count: int) -> np.ndarray:
@@ -592,6 +599,12 @@ def _entry_name(episodes: Episodes, entry: int) -> str:
     return f"state entry {episodes.goal_indices[entry]}"
 
 
+def _colour_bar(figure: Figure, drawn: ScalarMappable, panels: Sequence[Axes], label: str) -> None:
+    bar = figure.colorbar(drawn, ax=panels, fraction=0.025, pad=0.01)
+    bar.set_label(label, fontsize=8)
+    bar.ax.tick_params(labelsize=8)
+
+
 def _legend(figure: Figure, handles: list[Line2D]) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
 
@@ -605,9 +618,7 @@ def _logged_handle() -> Line2D:
 
 
 def _star_handle(label: str) -> Line2D:
-    return Line2D(
-        [], [], marker="*", color=ORANGE, markeredgecolor=DARK, linestyle="", markersize=9, label=label
-    )
+    return Line2D([], [], marker="*", color=ORANGE, markeredgecolor=DARK, linestyle="", markersize=9, label=label)
 
 
 def _flag_handle() -> Line2D:

@@ -120,15 +120,8 @@ def start(
 def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], **pace: Any) -> None:
     """Continue a run from its newest checkpoint, or from the beginning where it has none yet.
 
-    The result is bit-equal to that of an uninterrupted run. Raises GuiderError if `episodes` are not the data
-    the run was started with.
+    The result is bit-equal to that of an uninterrupted run, if `episodes` are those of the spec's fingerprint.
     """
-    fingerprint = episodes.fingerprint()
-    if fingerprint != run.spec.fingerprint:
-        raise GuiderError(
-            f"{episodes.source} (fingerprint {fingerprint}) is not the data {run.directory} was trained on "
-            f"({run.spec.data}, fingerprint {run.spec.fingerprint}); give that with --data"
-        )
     has_checkpoint = any((run.directory / "checkpoints").glob("*"))
     _train(run, episodes, run.restore() if has_checkpoint else None, on_chunk, **pace)
 
@@ -251,7 +244,5 @@ def _drop_later_lines(path: Path, total: int) -> None:
 
 def _state_template(spec: RunSpec) -> Any:
     method = METHODS[spec.method]
-    scale = method.unit_scale(spec.spaces)
-    return jax.eval_shape(
-        lambda: init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds)
-    )
+    scale = method.unit_scale(spec.config, spec.spaces)
+    return jax.eval_shape(lambda: init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds))

@@ -65,9 +65,7 @@ class LowBatch(NamedTuple):
     goal: jax.Array
 
 
-def window_starts(
-    episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float = 0.0
-) -> np.ndarray:
+def window_starts(episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float = 0.0) -> np.ndarray:
     """Rows t from which a window of c = `period_steps` may start. Returns [W] int32.
 
     boundary "drop": t + c lies within the episode. "clip": any t with a successor; the window then ends at
@@ -105,7 +103,12 @@ def _choose(key: jax.Array, rows: jax.Array, count: int) -> jax.Array:
 
 
 def _goals(
-    data: Data, key: jax.Array, first: jax.Array, last: jax.Array, relabel_fraction: float, random_fraction: float
+    data: Data,
+    key: jax.Array,
+    first: jax.Array,
+    last: jax.Array,
+    relabel_fraction: float,
+    random_fraction: float,
 ) -> jax.Array:
     """g_final for each row: a state of [first, last] of its own episode with probability `relabel_fraction`,
     a state from anywhere with `random_fraction`, else the recorded goal. Without recorded goals, the
@@ -164,9 +167,7 @@ def sample_low(
     row_key, subgoal_key, goal_key = jax.random.split(key, 3)
     rows = _choose(row_key, data.transition_rows, batch_size)
     last = data.last_row[rows]
-    subgoal_rows = jax.random.randint(
-        subgoal_key, rows.shape, rows + 1, jnp.minimum(rows + subgoal_steps, last) + 1
-    )
+    subgoal_rows = jax.random.randint(subgoal_key, rows.shape, rows + 1, jnp.minimum(rows + subgoal_steps, last) + 1)
     return LowBatch(
         observation=data.observations[rows],
         action=data.actions[rows],

@@ -22,18 +22,14 @@ geom_solmix geom_margin geom_gap geom_priority geom_bodyid jnt_type jnt_range jn
 jnt_stiffness jnt_margin jnt_solref jnt_solimp dof_damping dof_armature dof_frictionloss actuator_gear
 actuator_ctrlrange actuator_ctrllimited actuator_trnid actuator_gainprm actuator_biasprm actuator_biastype
 """.split()
-OPTIONS = (
-    "timestep integrator gravity solver iterations tolerance cone impratio density viscosity wind".split()
-)
+OPTIONS = "timestep integrator gravity solver iterations tolerance cone impratio density viscosity wind".split()
 
 
 def recreation():
     """The script that re-creates D4RL's data, as a module."""
     if not (RECREATION / "make.py").exists():
         pytest.skip("no shared/d4rl_antmaze beside the repository: D4RL's recording policy is not at hand")
-    pytest.importorskip(
-        "ogbench", reason="ogbench, whose ant D4RL's data is re-created with, is not installed"
-    )
+    pytest.importorskip("ogbench", reason="ogbench, whose ant D4RL's data is re-created with, is not installed")
     spec = importlib.util.spec_from_file_location("d4rl_antmaze_make", RECREATION / "make.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

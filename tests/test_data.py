@@ -383,9 +383,7 @@ def cut(episodes: Episodes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 @pytest.mark.filterwarnings("ignore")
 def test_minari_vectors(minari_root):
     arrays = walk([5, 9, 2])
-    expected = make_episodes(
-        arrays["observations"], arrays["actions"], [5, 9, 2], GOAL, action_low=-2, action_high=2
-    )
+    expected = make_episodes(arrays["observations"], arrays["actions"], [5, 9, 2], GOAL, action_low=-2, action_high=2)
     states, actions = zip(*cut(expected), strict=True)
     write_minari("test/walk-v0", list(states), list(actions), bound=2.0)
     directory = minari_root / "test" / "walk-v0"
@@ -409,9 +407,7 @@ def test_minari_dicts(minari_root):
     for length in (6, 4):
         observation = rng.normal(size=(length, 5))
         goal = rng.normal(size=(length, 2))
-        states.append(
-            {"observation": observation, "achieved_goal": observation[:, 3:5], "desired_goal": goal}
-        )
+        states.append({"observation": observation, "achieved_goal": observation[:, 3:5], "desired_goal": goal})
         actions.append(rng.uniform(-1, 1, (length - 1, 2)).astype(np.float32))
     write_minari("test/dict-v0", states, actions)
     episodes = load("minari:test/dict-v0", (3, 4))
@@ -425,10 +421,7 @@ def test_minari_dicts(minari_root):
 @pytest.mark.filterwarnings("ignore")
 def test_minari_dicts_whose_observation_leaves_the_goal_space_out(minari_root):
     rng = np.random.default_rng(0)
-    state = {
-        key: rng.normal(size=(6, n))
-        for key, n in [("observation", 4), ("achieved_goal", 2), ("desired_goal", 2)]
-    }
+    state = {key: rng.normal(size=(6, n)) for key, n in [("observation", 4), ("achieved_goal", 2), ("desired_goal", 2)]}
     write_minari("test/ant-v0", [state], [rng.uniform(-1, 1, (5, 2)).astype(np.float32)])
     episodes = load("minari:test/ant-v0", GOAL)
     np.testing.assert_allclose(

@@ -107,8 +107,7 @@ def test_segments_agree_with_points_along_them():
     maze = make_maze("large", 1.0)
     rng = np.random.default_rng(1)
     a, b = (
-        maze.cell_centre(maze.free_cells[rng.integers(46, size=300)]) + rng.uniform(-0.4, 0.4, (300, 2))
-        for _ in "ab"
+        maze.cell_centre(maze.free_cells[rng.integers(46, size=300)]) + rng.uniform(-0.4, 0.4, (300, 2)) for _ in "ab"
     )
     along = a[:, None] + np.linspace(0, 1, 2000)[:, None] * (b - a)[:, None]
     cells = maze.cell_of(along)

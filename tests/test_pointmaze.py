@@ -179,10 +179,7 @@ def test_recorded_file_is_consistent(tmp_path):
     reports = collect("large", 20_030, 3, tmp_path / "new" / "data.hdf5")
     assert reports == [(0, 20_030), (256 * 60, 20_030), (20_030, 20_030)]
     with h5py.File(tmp_path / "new" / "data.hdf5") as file:
-        data = {
-            key: np.array(file[key])
-            for key in ("observations", "actions", "rewards", "terminals", "timeouts")
-        }
+        data = {key: np.array(file[key]) for key in ("observations", "actions", "rewards", "terminals", "timeouts")}
         goals = np.array(file["infos/goal"])
     assert data["observations"].shape == (20_030, 4) and data["observations"].dtype == np.float32
     assert data["actions"].shape == (20_030, 2) and np.abs(data["actions"]).max() <= 1.0

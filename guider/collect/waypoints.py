@@ -119,9 +119,7 @@ def _record_episodes(recipe: Recipe, guide: Guide, seeds: np.ndarray) -> dict[st
             goal = goals[rows, goal_number]
             waypoints = guide.waypoints(observations[:, :2], goal)
             noisy = recipe.controller(observations, waypoints) + noise[:, t]
-            actions = np.where(in_burst[:, t, None], bursts[:, t], np.clip(noisy, -1.0, 1.0)).astype(
-                np.float32
-            )
+            actions = np.where(in_burst[:, t, None], bursts[:, t], np.clip(noisy, -1.0, 1.0)).astype(np.float32)
             log["observations"].append(observations)
             log["actions"].append(actions)
             log["infos/goal"].append(goal)
@@ -143,9 +141,7 @@ def _draw_script(recipe: Recipe, rng: np.random.Generator) -> tuple[np.ndarray, 
     """
     length = recipe.episode_steps
     cells = recipe.maze.free_cells[rng.integers(len(recipe.maze.free_cells), size=length)]
-    goals = recipe.maze.cell_centre(cells) + rng.uniform(
-        -recipe.goal_offset_m, recipe.goal_offset_m, (length, 2)
-    )
+    goals = recipe.maze.cell_centre(cells) + rng.uniform(-recipe.goal_offset_m, recipe.goal_offset_m, (length, 2))
     noise = recipe.noise_spread * rng.standard_normal((length, recipe.action_dim))
     steps = np.arange(length)
     begins = rng.random(length) < recipe.burst_chance

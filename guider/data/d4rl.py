@@ -34,9 +34,7 @@ def read_d4rl(store: Store, goal_indices: tuple[int, ...]) -> Recording:
     rows = len(observations)
     ends = store.flags("timeouts", rows) if "timeouts" in store.keys else np.zeros(rows, bool)
     ends[:-1] |= find_jumps(observations[:, list(goal_indices)], ends)
-    return Recording(
-        observations, store.matrix("actions"), lengths_from_ends(ends), _infos_goal(store, goal_indices)
-    )
+    return Recording(observations, store.matrix("actions"), lengths_from_ends(ends), _infos_goal(store, goal_indices))
 
 
 def read_d4rl_kitchen(store: Store, goal_indices: tuple[int, ...]) -> Recording:

@@ -46,9 +46,7 @@ def describe(episodes: Episodes) -> dict[str, Any]:
         "action_bounds": _pairs(episodes.action_low, episodes.action_high),
         "recorded_goals": episodes.goals is not None,
         "goal_travel": [
-            _travel(achieved, episodes.last_rows, steps, extent)
-            for steps in _WINDOWS
-            if steps < lengths.max()
+            _travel(achieved, episodes.last_rows, steps, extent) for steps in _WINDOWS if steps < lengths.max()
         ],
     }
 

@@ -56,9 +56,7 @@ class Store:
             array = self.file[key]
             shape, dtype = array.shape, array.dtype  # pyright: ignore[reportAttributeAccessIssue]
             if len(shape) != 2 or 0 in shape or dtype.kind not in "fiu":
-                raise self.fail(
-                    f"{key} must be a non-empty 2-D array of numbers, got {dtype} of shape {shape}"
-                )
+                raise self.fail(f"{key} must be a non-empty 2-D array of numbers, got {dtype} of shape {shape}")
             if isinstance(array, h5py.Dataset):
                 out = np.empty(shape, np.float32)
                 array.read_direct(out)

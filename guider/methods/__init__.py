@@ -14,7 +14,7 @@ class Method:
     """The functions of one method; `config` is an instance of `config_type` throughout.
 
     prepare:  (config, episodes) -> (device data, input scale)
-    unit_scale: (spaces) -> a scale of the right shapes
+    unit_scale: (config, spaces) -> a scale of the right shapes
     init:     (config, spaces, scale, key) -> state of one seed
     stages:   (config) -> stages for the engine
     initial_acting_state: (config, goal_dim, batch_size) -> what acting remembers between steps

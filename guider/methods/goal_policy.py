@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
+from guider.config import check_fraction, check_positive, check_shares
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
 
 Metrics = dict[str, jax.Array]
@@ -44,6 +45,11 @@ class GoalPolicyConfig:
     """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_t, s^G_j) (Figure 5, without decoder)."""
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
+
+    def __post_init__(self) -> None:
+        check_positive(self, "batch_size", "learning_rate", "weight_ceiling", "temperature")
+        check_fraction(self, "discount", "target_rate", "relabel_fraction", "random_goal_fraction")
+        check_shares(self)
 
 
 class Params(NamedTuple):
@@ -89,9 +95,7 @@ def act(params: Params, state: jax.Array) -> jax.Array:
     return jnp.tanh(mlp(params.actor, state))
 
 
-def update(
-    config: GoalPolicyConfig, state: GoalPolicyState, batch: Transitions
-) -> tuple[GoalPolicyState, Metrics]:
+def update(config: GoalPolicyConfig, state: GoalPolicyState, batch: Transitions) -> tuple[GoalPolicyState, Metrics]:
     """One step of Algorithm 1, lines 17-18.
 
     Critic: TD error towards r + gamma * min Q(s', pi_l(s')), sum over the twins. Actor: Eq. 6, where

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider import losses
+from guider.config import check_positive
 from guider.episodes import Episodes, Spaces
-from guider.methods import goal_policy, latent_subgoals, subgoal_policy
+from guider.methods import goal_policy, latent_subgoals, scaling, subgoal_policy
 from guider.methods.goal_policy import GoalPolicyConfig, GoalPolicyState
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
-from guider.methods.scaling import Scale, make_scale, unit_scale
+from guider.methods.scaling import Scale, make_scale
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.samplers import (
     Boundary,
@@ -53,9 +54,15 @@ class GuiderConfig:
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
     normalise: bool = False
     """Standardise what the networks see by the data's mean and spread (departure)."""
+    position_waves: int = 0
+    """Show places (s^G, g_final at the high level) also as sines and cosines at this many frequencies, so that small
+    networks can tell the two sides of a wall apart (departure; needs `normalise`)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
     high: SubgoalPolicyConfig = field(default_factory=SubgoalPolicyConfig)
     low: GoalPolicyConfig = field(default_factory=GoalPolicyConfig)
+
+    def __post_init__(self) -> None:
+        check_positive(self, "period_steps", "radius", "reach_radius")
 
 
 class GuiderState(NamedTuple):
@@ -71,8 +78,13 @@ def prepare(config: GuiderConfig, episodes: Episodes) -> tuple[Data, Scale]:
     """Data on the device and the scaling it implies."""
     data = device_data(episodes, config.period_steps, config.boundary, config.minimum_move)
     if not config.normalise:
-        return data, unit_scale(episodes.spaces)
-    return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps)
+        return data, unit_scale(config, episodes.spaces)
+    return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps, config.position_waves)
+
+
+def unit_scale(config: GuiderConfig, spaces: Spaces) -> Scale:
+    """Raw inputs, and the shapes of any scale."""
+    return scaling.unit_scale(spaces, config.position_waves)
 
 
 def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> GuiderState:
@@ -80,18 +92,20 @@ def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> 
     latent_key, high_key, low_key = jax.random.split(key, 3)
     goal_dim, latent_dim = spaces.goal_dim, config.latent.latent_dim
     subgoal_dim = latent_dim if config.low.subgoal_input == "latent" else goal_dim
-    low_input_dim = spaces.state_dim + subgoal_dim + goal_dim
+    wave_dim = 2 * config.position_waves * goal_dim
+    position_dim = goal_dim + wave_dim
+    low_input_dim = spaces.state_dim + wave_dim + subgoal_dim + goal_dim
     return GuiderState(
         scale=scale,
-        latent=latent_subgoals.init(latent_key, config.latent, goal_dim),
-        high=subgoal_policy.init(high_key, config.high, goal_dim, latent_dim),
+        latent=latent_subgoals.init(latent_key, config.latent, goal_dim, position_dim),
+        high=subgoal_policy.init(high_key, config.high, 2 * position_dim, latent_dim),
         low=goal_policy.init(low_key, config.low, low_input_dim, spaces.action_dim),
     )
 
 
 def high_inputs(scale: Scale, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-    """What the high level sees: scaled (s^G, g_final), [..., 2G]."""
-    return jnp.concatenate([scale.goal(achieved), scale.goal(goal)], axis=-1)
+    """What the high level sees: scaled (s^G, g_final), [..., inputs]."""
+    return jnp.concatenate([scale.position(achieved), scale.position(goal)], axis=-1)
 
 
 def low_inputs(
@@ -113,7 +127,7 @@ def low_inputs(
     else:
         seen_goal = scale.goal(goal)
         seen_subgoal = scale.goal(subgoal) if config.low.subgoal_input == "goal" else subgoal
-    return jnp.concatenate([scale.state(observation), seen_subgoal, seen_goal], axis=-1)
+    return jnp.concatenate([scale.state(observation), scale.waves(achieved), seen_subgoal, seen_goal], axis=-1)
 
 
 def relabel_high(
@@ -131,16 +145,12 @@ def relabel_high(
     )
 
 
-def relabel_low(
-    config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array
-) -> goal_policy.Transitions:
+def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array) -> goal_policy.Transitions:
     """Algorithm 1, line 16. The reward is for meeting the subgoal (Eq. 1), in goal space always."""
     subgoal = batch.subgoal
     if config.low.subgoal_input == "latent":
         params = state.latent.params
-        subgoal = latent_subgoals.encode(
-            config.latent, params, state.scale, batch.achieved, batch.subgoal
-        ).sample(key)
+        subgoal = latent_subgoals.encode(config.latent, params, state.scale, batch.achieved, batch.subgoal).sample(key)
     return goal_policy.Transitions(
         state=low_inputs(config, state, batch.observation, batch.achieved, subgoal, batch.goal),
         action=batch.action,
@@ -215,7 +225,7 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
 def propose_subgoal(
     config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Mean of pi_h and the subgoal it decodes to: (subgoal [..., G], latent [..., Z])."""
+    """Where to go next: the mean of pi_h and the subgoal it decodes to, (subgoal [..., G], latent [..., Z])."""
     latent = subgoal_policy.propose(state.high.params, high_inputs(state.scale, achieved, goal)).mean
     subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
     if config.final_goal_substitution:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
+from guider.config import check_fraction, check_positive
 from guider.methods.scaling import Scale
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
 from guider.samplers import Windows
@@ -36,6 +37,10 @@ class LatentSubgoalsConfig:
     relative: bool = False
     """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
 
+    def __post_init__(self) -> None:
+        check_positive(self, "batch_size", "learning_rate", "latent_dim", "beta")
+        check_fraction(self, "kl_balance", "decoder_dropout")
+
 
 class LatentParams(NamedTuple):
     encoder: Layers
@@ -48,13 +53,14 @@ class LatentState(NamedTuple):
     optimiser: optax.OptState
 
 
-def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int) -> LatentState:
+def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int, position_dim: int) -> LatentState:
+    """position_dim: entries of a place as the networks see it (Scale.position)."""
     encoder_key, decoder_key, prior_key = jax.random.split(key, 3)
     latent = config.latent_dim
     params = LatentParams(
-        encoder=mlp_init(encoder_key, (2 * goal_dim, *config.hidden, 2 * latent)),
-        decoder=mlp_init(decoder_key, (goal_dim + latent, *config.hidden, goal_dim)),
-        prior=mlp_init(prior_key, (goal_dim, *config.hidden, 2 * latent)),
+        encoder=mlp_init(encoder_key, (position_dim + goal_dim, *config.hidden, 2 * latent)),
+        decoder=mlp_init(decoder_key, (position_dim + latent, *config.hidden, goal_dim)),
+        prior=mlp_init(prior_key, (position_dim, *config.hidden, 2 * latent)),
     )
     return LatentState(params, optax.adam(config.learning_rate).init(params))
 
@@ -64,7 +70,7 @@ def encode(
 ) -> Gaussian:
     """q(z | s^G_t, s^G_{t+c}). achieved, later: [..., G] in goal units."""
     target = (later - achieved) / scale.step_std if config.relative else scale.goal(later)
-    inputs = jnp.concatenate([scale.goal(achieved), target], axis=-1)
+    inputs = jnp.concatenate([scale.position(achieved), target], axis=-1)
     return gaussian_head(mlp(params.encoder, inputs, jax.nn.gelu))
 
 
@@ -77,7 +83,7 @@ def decode(
     key: jax.Array | None = None,
 ) -> jax.Array:
     """Mean of p(s^G_{t+c} | s^G_t, z), [..., G] in goal units. A key switches dropout on."""
-    inputs = jnp.concatenate([scale.goal(achieved), latent], axis=-1)
+    inputs = jnp.concatenate([scale.position(achieved), latent], axis=-1)
     outputs = mlp(params.decoder, inputs, jax.nn.gelu, config.decoder_dropout, key)
     if config.relative:
         return achieved + outputs * scale.step_std
@@ -86,7 +92,7 @@ def decode(
 
 def prior(params: LatentParams, scale: Scale, achieved: jax.Array) -> Gaussian:
     """rho(z | s^G_t). achieved: [..., G] in goal units."""
-    return gaussian_head(mlp(params.prior, scale.goal(achieved)))
+    return gaussian_head(mlp(params.prior, scale.position(achieved)))
 
 
 def loss(
@@ -97,9 +103,7 @@ def loss(
     posterior = encode(config, params, scale, batch.achieved, batch.later)
     reachable = prior(params, scale, batch.achieved)
     decoded = decode(config, params, scale, batch.achieved, posterior.sample(sample_key), dropout_key)
-    total, error, kl = losses.negative_elbo(
-        decoded, batch.later, posterior, reachable, config.beta, config.kl_balance
-    )
+    total, error, kl = losses.negative_elbo(decoded, batch.later, posterior, reachable, config.beta, config.kl_balance)
     metrics = {"loss": total.mean(), "squared_error": error.mean(), "kl": kl.mean()}
     return total.mean(), metrics
 

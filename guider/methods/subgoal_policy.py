@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
+from guider.config import check_fraction, check_positive, check_shares
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 
 Metrics = dict[str, jax.Array]
@@ -53,6 +54,11 @@ class SubgoalPolicyConfig:
     cap_targets: bool = False
     """Keep Bellman targets within the values that rewards of -1 and 0 allow (departure)."""
 
+    def __post_init__(self) -> None:
+        check_positive(self, "batch_size", "learning_rate", "samples", "target_divergence")
+        check_fraction(self, "discount", "target_rate", "relabel_fraction", "random_goal_fraction", "expectile")
+        check_shares(self)
+
 
 class Params(NamedTuple):
     """`value` only serves the expectile critic, `lagrange` only CQL's; both are carried always."""
@@ -73,7 +79,7 @@ class SubgoalPolicyState(NamedTuple):
 class Transitions(NamedTuple):
     """Relabelled transitions as the networks see them (Algorithm 1, line 10).
 
-    state, next_state: [B, 2G] scaled (s^G, g_final); latent: [B, Z]; reward: [B], 0 where the goal is met
+    state, next_state: [B, inputs] scaled (s^G, g_final); latent: [B, Z]; reward: [B], 0 where the goal is met
     after the step, else -1; prior: rho(z | s^G_t).
     """
 
@@ -84,9 +90,8 @@ class Transitions(NamedTuple):
     prior: Gaussian
 
 
-def init(key: jax.Array, config: SubgoalPolicyConfig, goal_dim: int, latent_dim: int) -> SubgoalPolicyState:
+def init(key: jax.Array, config: SubgoalPolicyConfig, state_dim: int, latent_dim: int) -> SubgoalPolicyState:
     actor_key, critic_key, value_key = jax.random.split(key, 3)
-    state_dim = 2 * goal_dim
     params = Params(
         actor=mlp_init(actor_key, (state_dim, *config.hidden, 2 * latent_dim)),
         critic=twin_init(critic_key, (state_dim + latent_dim, *config.hidden, 1)),
@@ -98,7 +103,7 @@ def init(key: jax.Array, config: SubgoalPolicyConfig, goal_dim: int, latent_dim:
 
 
 def propose(params: Params, state: jax.Array) -> Gaussian:
-    """pi_h(z | s^G, g_final). state: [..., 2G] scaled (s^G, g_final)."""
+    """pi_h(z | s^G, g_final). state: [..., inputs] scaled (s^G, g_final)."""
     return gaussian_head(mlp(params.actor, state))
 
 
@@ -202,9 +207,7 @@ def update(
         if config.critic == "expectile":
             critic, critic_metrics = _expectile_critic_loss(config, params, state.target_critic, batch)
         else:
-            critic, critic_metrics = _sampled_critic_loss(
-                config, params, state.target_critic, batch, critic_key
-            )
+            critic, critic_metrics = _sampled_critic_loss(config, params, state.target_critic, batch, critic_key)
         actor, actor_metrics = _actor_loss(config, params, batch, actor_key)
         return critic + actor, critic_metrics | actor_metrics
 

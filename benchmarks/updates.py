@@ -1,0 +1,216 @@
+"""Updates per second of the three stages, against plain eager PyTorch and between our own settings.
+
+python -m benchmarks.updates [--stage latent|high|low|switches] [--rounds N] [--seconds S] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+
+from benchmarks.common import STAGES, alternate, antmaze_config, antmaze_episodes, print_table, ratios, show_ratio
+from benchmarks.common import Run, trainer, verdict
+from guider.episodes import Episodes, Spaces
+from guider.methods import guider, subgoal_policy
+from guider.methods.guider import GuiderConfig
+from guider.networks import Layers, mlp
+from guider.tasks.simulation import available_cores
+
+TARGETS = {"latent": 4.0, "high": 1.3, "low": 2.5}
+"""Least acceptable ratio to eager PyTorch, at equal batches and samples."""
+
+SWITCHES: dict[str, dict[str, Any]] = {
+    "samples=4": {"samples": 4},
+    "samples=2": {"samples": 2},
+    "hidden=(256,256)": {"hidden": (256, 256)},
+    "critic=expectile": {"critic": "expectile"},
+    "critic=td": {"critic": "td"},
+}
+"""Settings of the high level that buy speed, each alone on top of the preset `paper`."""
+
+
+def forward_flops(sizes: Sequence[int], rows: int) -> float:
+    """A multiplication and an addition per weight and row; activations and biases (under 1 %) are not counted."""
+    return 2.0 * rows * sum(a * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+
+
+def training_flops(sizes: Sequence[int], rows: int) -> float:
+    """A forward pass, and a backward pass to weights and inputs, of which the first layer's inputs need none."""
+    return 3 * forward_flops(sizes, rows) - forward_flops(sizes[:2], rows)
+
+
+def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
+    """Floating-point operations of one update's networks, from their shapes and the passes through them.
+
+    latent: encoder, decoder and prior are trained on B rows.
+    high (CQL): both critics are trained on B (1 + 3n) rows, the actor on B; both target critics see B n rows;
+        forward on B rows go encoder, prior, and the actor for the two sampling policies; both critics see the
+        actor's B latents forward and back to their inputs.
+    low: both critics and the actor are trained on B rows; forward go both target critics, the actor on next
+        states, and both critics on the actor's actions.
+    """
+    goal_dim, latent_dim = spaces.goal_dim, config.latent.latent_dim
+    encoder = (2 * goal_dim, *config.latent.hidden, 2 * latent_dim)
+    decoder = (goal_dim + latent_dim, *config.latent.hidden, goal_dim)
+    prior = (goal_dim, *config.latent.hidden, 2 * latent_dim)
+    if stage == "latent":
+        return sum(training_flops(sizes, config.latent.batch_size) for sizes in (encoder, decoder, prior))
+    if stage == "high":
+        rows, samples = config.high.batch_size, config.high.samples
+        actor = (2 * goal_dim, *config.high.hidden, 2 * latent_dim)
+        critic = (2 * goal_dim + latent_dim, *config.high.hidden, 1)
+        relabelling = forward_flops(encoder, rows) + forward_flops(prior, rows)
+        critics = 2 * (forward_flops(critic, rows * samples) + training_flops(critic, rows * (1 + 3 * samples)))
+        policies = 2 * forward_flops(actor, rows) + training_flops(actor, rows) + 4 * forward_flops(critic, rows)
+        return relabelling + critics + policies
+    rows, inputs = config.low.batch_size, spaces.state_dim + 2 * goal_dim
+    actor = (inputs, *config.low.hidden, spaces.action_dim)
+    critic = (inputs + spaces.action_dim, *config.low.hidden, 1)
+    critics = 2 * (training_flops(critic, rows) + 2 * forward_flops(critic, rows))
+    return critics + training_flops(actor, rows) + forward_flops(actor, rows)
+
+
+def torch_trainer(config: GuiderConfig, stage: str, episodes: Episodes) -> Run:
+    """run(updates): the same stage in eager PyTorch, on all cores."""
+    import torch
+
+    from benchmarks.torch_updates import GoalPolicy, LatentModel, SubgoalPolicy, torch_data
+
+    torch.set_num_threads(available_cores())
+    data = torch_data(guider.prepare(config, episodes)[0])
+    spaces = episodes.spaces
+    makers: dict[str, Callable[[], LatentModel | SubgoalPolicy | GoalPolicy]] = {
+        "latent": lambda: LatentModel(config, spaces.goal_dim),
+        "high": lambda: SubgoalPolicy(config, spaces.goal_dim),
+        "low": lambda: GoalPolicy(config, spaces.state_dim, spaces.goal_dim, spaces.action_dim),
+    }
+    baseline = makers[stage]()
+
+    def run(updates: int) -> None:
+        for _ in range(updates):
+            baseline.update(data)
+
+    return run
+
+
+def measure_stage(stage: str, episodes: Episodes, rounds: int, seconds: float) -> dict[str, Any]:
+    """One stage: preset `paper` here and in PyTorch, and preset `fast`. Rates in updates per second."""
+    paper, fast = antmaze_config("paper"), antmaze_config("fast")
+    rates = alternate(
+        {
+            "paper": trainer(paper, stage, episodes),
+            "torch": torch_trainer(paper, stage, episodes),
+            "fast": trainer(fast, stage, episodes),
+        },
+        rounds,
+        seconds,
+    )
+    flops = {name: update_flops(c, stage, episodes.spaces) for name, c in (("paper", paper), ("fast", fast))}
+    medians = {name: statistics.median(values) for name, values in rates.items()}
+    return {
+        "rates": rates,
+        "median_rates": medians,
+        "flops_per_update": flops,
+        "gflops_per_second": {
+            name: medians[name] * flops["fast" if name == "fast" else "paper"] / 1e9 for name in medians
+        },
+        "paper_to_torch": ratios(rates["paper"], rates["torch"]),
+        "fast_to_paper": ratios(rates["fast"], rates["paper"]),
+        "target": TARGETS[stage],
+    }
+
+
+def measure_switches(episodes: Episodes, rounds: int, seconds: float) -> dict[str, Any]:
+    """The high level under `paper`, with each of SWITCHES, and with nothing shared between samples."""
+    paper = antmaze_config("paper")
+    contenders = {"paper": trainer(paper, "high", episodes)}
+    with mock.patch.object(subgoal_policy, "twin_values", unshared_twin_values):
+        contenders["first layer per sample"] = trainer(paper, "high", episodes)
+    for name, settings in SWITCHES.items():
+        contenders[name] = trainer(replace(paper, high=replace(paper.high, **settings)), "high", episodes)
+    rates = alternate(contenders, rounds, seconds)
+    return {
+        "rates": rates,
+        "median_rates": {name: statistics.median(values) for name, values in rates.items()},
+        "to_paper": {name: ratios(values, rates["paper"]) for name, values in rates.items()},
+    }
+
+
+def unshared_twin_values(twins: Layers, context: jax.Array, actions: jax.Array) -> jax.Array:
+    """guider.networks.twin_values with the context repeated for every sample before the first layer."""
+    if actions.ndim == 3:
+        context = jnp.repeat(context[:, None], actions.shape[1], axis=1)
+    inputs = jnp.concatenate([context, actions], axis=-1)
+    return jax.vmap(lambda layers: mlp(layers, inputs)[..., 0])(twins)
+
+
+def print_stages(results: dict[str, Any]) -> None:
+    header = ("stage", "guider /s", "torch /s", "ratio (min-max)", "GFLOP/update", "guider GFLOP/s", "torch GFLOP/s", "")
+    rows = []
+    for stage, result in results.items():
+        medians, achieved = result["median_rates"], result["gflops_per_second"]
+        rows.append(
+            (
+                stage,
+                f"{medians['paper']:.1f}",
+                f"{medians['torch']:.1f}",
+                show_ratio(result["paper_to_torch"]),
+                f"{result['flops_per_update']['paper'] / 1e9:.2f}",
+                f"{achieved['paper']:.0f}",
+                f"{achieved['torch']:.0f}",
+                verdict(result["paper_to_torch"]["median"], result["target"]),
+            )
+        )
+    print_table("Preset paper, updates per second, against eager PyTorch", header, rows)
+    header = ("stage", "fast /s", "to paper (min-max)", "GFLOP/update", "GFLOP/s")
+    rows = [
+        (
+            stage,
+            f"{result['median_rates']['fast']:.1f}",
+            show_ratio(result["fast_to_paper"]),
+            f"{result['flops_per_update']['fast'] / 1e9:.2f}",
+            f"{result['gflops_per_second']['fast']:.0f}",
+        )
+        for stage, result in results.items()
+    ]
+    print_table("Preset fast, updates per second", header, rows)
+
+
+def print_switches(result: dict[str, Any]) -> None:
+    rows = [
+        (name, f"{rate:.1f}", show_ratio(result["to_paper"][name])) for name, rate in result["median_rates"].items()
+    ]
+    print_table("High level: what each setting buys", ("setting", "updates/s", "to paper (min-max)"), rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.updates", description=__doc__)
+    parser.add_argument("--stage", choices=[*STAGES, "switches"], help="default: all stages and the switches")
+    parser.add_argument("--rounds", type=int, default=5, help="runs of each contender, in alternation")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of a run")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    options = parser.parse_args()
+    chosen = [options.stage] if options.stage else [*STAGES, "switches"]
+    episodes = antmaze_episodes()
+    stages = {s: measure_stage(s, episodes, options.rounds, options.seconds) for s in chosen if s != "switches"}
+    switches = measure_switches(episodes, options.rounds, options.seconds) if "switches" in chosen else None
+    if options.json:
+        print(json.dumps({"cores": available_cores(), "stages": stages, "switches": switches}))
+        return
+    print(f"{available_cores()} cores; {options.rounds} rounds of {options.seconds:g} s for each contender")
+    if stages:
+        print_stages(stages)
+    if switches:
+        print_switches(switches)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""Small ragged data and tiny networks shared by the tests."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# Compiled programs are kept between test runs; a fresh machine compiles each of them once.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".jax_cache"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+from guider.episodes import Episodes, make_episodes
+from guider.methods.guider import GuiderConfig
+from guider.presets import guider_config
+
+TINY = {"hidden": (16, 16), "batch_size": 32}
+
+
+def tiny(config: GuiderConfig, updates: int = 10) -> GuiderConfig:
+    """The same method with networks and budgets small enough for a test."""
+    return replace(
+        config,
+        latent=replace(config.latent, updates=updates, **TINY),
+        high=replace(config.high, updates=updates, samples=2, **TINY),
+        low=replace(config.low, updates=updates, **TINY),
+    )
+
+
+def make_ragged(lengths=(7, 30, 2, 12, 55), recorded_goals: bool = True, seed: int = 0) -> Episodes:
+    """Random walks in the plane with two further state entries; entry 3 counts episodes, entry 2 steps."""
+    rng = np.random.default_rng(seed)
+    blocks = []
+    for episode, length in enumerate(lengths):
+        steps = np.full((length, 1), 0.0) + np.arange(length)[:, None]
+        position = np.cumsum(rng.normal(size=(length, 2)), axis=0)
+        blocks.append(np.hstack([position, steps, np.full((length, 1), float(episode))]))
+    observations = np.concatenate(blocks)
+    rows = len(observations)
+    return make_episodes(
+        observations,
+        rng.uniform(-1, 1, (rows, 2)),
+        lengths,
+        goal_indices=(0, 1),
+        goals=np.full((rows, 2), 1000.0) if recorded_goals else None,
+        source="ragged test data",
+    )
+
+
+@pytest.fixture
+def ragged() -> Episodes:
+    return make_ragged()
+
+
+@pytest.fixture
+def fast_config() -> GuiderConfig:
+    return tiny(guider_config("fast", radius=0.5, reach_radius=1.0, period_steps=5))

@@ -1,0 +1,148 @@
+"""The PyTorch baseline is the same update: same parameters, batch and noise give the same losses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_ragged
+
+from benchmarks.common import STAGES
+from benchmarks.updates import update_flops
+from guider.methods import goal_policy, latent_subgoals, subgoal_policy
+from guider.methods import guider as method
+from guider.methods.guider import GuiderConfig, GuiderState
+from guider.methods.scaling import unit_scale
+from guider.networks import Gaussian
+from guider.presets import guider_config
+from guider.samplers import Windows
+
+EPISODES = make_ragged()
+SPACES = EPISODES.spaces
+
+
+def paper(**high) -> GuiderConfig:
+    """The preset without dropout, whose noise the two libraries cannot share."""
+    config = guider_config("paper", 0.5, 1.0, 5)
+    return replace(
+        config,
+        latent=replace(config.latent, batch_size=32, decoder_dropout=0.0),
+        high=replace(config.high, batch_size=32, samples=4, **high),
+        low=replace(config.low, batch_size=32),
+    )
+
+
+def state_of(config: GuiderConfig) -> GuiderState:
+    return method.init(config, SPACES, unit_scale(SPACES), jax.random.key(0))
+
+
+def normal(seed: int, *shape: int) -> jax.Array:
+    return jax.random.normal(jax.random.key(seed), shape)
+
+
+@pytest.fixture
+def baseline():
+    """benchmarks.torch_updates; the tests that need it are skipped where PyTorch is not installed."""
+    pytest.importorskip("torch", reason="PyTorch is not installed: pip install -e '.[bench]'")
+    from benchmarks import torch_updates
+
+    return torch_updates
+
+
+def tensor(array):
+    import torch
+
+    return torch.from_numpy(np.array(array))
+
+
+def test_latent_losses_agree(baseline):
+    config = paper()
+    state = state_of(config)
+    torch_model = baseline.LatentModel(config, SPACES.goal_dim)
+    for network, layers in zip(torch_model.networks, state.latent.params, strict=True):
+        baseline.copy_layers(network, layers)
+    batch = Windows(3 * normal(1, 32, 2), 3 * normal(2, 32, 2))
+    key = jax.random.key(3)
+    noise = jax.random.normal(jax.random.split(key)[0], (32, config.latent.latent_dim))
+    ours, _ = latent_subgoals.loss(config.latent, state.latent.params, state.scale, batch, key)
+    theirs = torch_model.loss(tensor(batch.achieved), tensor(batch.later), tensor(noise))
+    assert theirs.item() == pytest.approx(float(ours), rel=1e-4)
+
+
+def low_batch() -> goal_policy.Transitions:
+    inputs = SPACES.state_dim + 2 * SPACES.goal_dim
+    reward = jnp.where(normal(3, 32) > 1, 0.0, -1.0)
+    return goal_policy.Transitions(normal(1, 32, inputs), jnp.tanh(normal(2, 32, 2)), reward, normal(4, 32, inputs))
+
+
+def test_low_level_updates_agree(baseline):
+    """Losses of the first update, and of a second one after both have stepped: gradients, Adam, targets agree too."""
+    config = paper()
+    state = state_of(config).low
+    policy = baseline.GoalPolicy(config, SPACES.state_dim, SPACES.goal_dim, SPACES.action_dim)
+    baseline.copy_layers(policy.actor, state.params.actor)
+    baseline.copy_twins(policy.critics, state.params.critic)
+    baseline.copy_twins(policy.targets, jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic))
+    state = state._replace(target_critic=jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic))
+    batch = low_batch()
+    torch_batch = baseline.GoalBatch(*map(tensor, batch))
+    for _ in range(2):
+        weighted_loss = _low_level_loss(config, state, batch)
+        loss = policy.loss(torch_batch)
+        assert loss.item() == pytest.approx(weighted_loss, rel=1e-4)
+        baseline.minimise(loss, policy.networks, policy.optimisers)
+        baseline.move_targets(policy.targets, policy.critics, config.low.target_rate)
+        state, _ = goal_policy.update(config.low, state, batch)
+
+
+def _low_level_loss(config: GuiderConfig, state: goal_policy.GoalPolicyState, batch: goal_policy.Transitions) -> float:
+    """TD error as `update` reports it, plus the regression of Eq. 6 from its definition."""
+    _, metrics = goal_policy.update(config.low, state, batch)
+    predicted = goal_policy.act(state.params, batch.state)
+    values = goal_policy.twin_values(state.params.critic, batch.state, batch.action).min(axis=0)
+    baseline = goal_policy.twin_values(state.params.critic, batch.state, predicted).min(axis=0)
+    weight = jnp.minimum(jnp.exp((values - baseline) / config.low.temperature), config.low.weight_ceiling)
+    return float(metrics["td_error"] + (weight * ((predicted - batch.action) ** 2).mean(axis=-1)).mean())
+
+
+def test_high_level_losses_agree(baseline):
+    config = paper()
+    settings, samples = config.high, config.high.samples
+    state = state_of(config).high
+    policy = baseline.SubgoalPolicy(config, SPACES.goal_dim)
+    baseline.copy_layers(policy.actor, state.params.actor)
+    baseline.copy_twins(policy.critics, state.params.critic)
+    target = jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic)
+    baseline.copy_twins(policy.targets, target)
+    prior = Gaussian(normal(5, 32, 2), 0.1 * normal(6, 32, 2))
+    reward = jnp.where(normal(3, 32) > 1, 0.0, -1.0)
+    batch = subgoal_policy.Transitions(normal(1, 32, 4), normal(2, 32, 2), reward, normal(4, 32, 4), prior)
+    critic_key, actor_key = jax.random.split(jax.random.key(7))
+    next_key, now_key, uniform_key = jax.random.split(critic_key, 3)
+    draws = (samples, 32, 2)
+    noise = baseline.SubgoalNoise(
+        next=tensor(jax.random.normal(next_key, draws).swapaxes(0, 1)),
+        now=tensor(jax.random.normal(now_key, draws).swapaxes(0, 1)),
+        uniform=tensor(jax.random.uniform(uniform_key, (32, samples, 2))),
+        actor=tensor(jax.random.normal(actor_key, (32, 2))),
+    )
+    torch_batch = baseline.SubgoalBatch(*map(tensor, batch[:4]), prior=baseline.Gaussian(*map(tensor, prior)))
+    critic, actor, lagrange = policy.losses(torch_batch, noise)
+    ours, _ = subgoal_policy._sampled_critic_loss(settings, state.params, target, batch, critic_key)
+    ours_actor, _ = subgoal_policy._actor_loss(settings, state.params, batch, actor_key)
+    assert (critic + lagrange).item() == pytest.approx(float(ours), rel=1e-4)
+    assert actor.item() == pytest.approx(float(ours_actor), rel=1e-4)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_counted_operations_are_those_compiled(stage):
+    """XLA's own count also holds activations, losses and Adam, and shares a few products."""
+    config = paper()
+    data, scale = method.prepare(config, EPISODES)
+    state = method.init(config, SPACES, scale, jax.random.key(0))
+    update = jax.jit(method.stages(config)[STAGES.index(stage)].update)
+    cost = update.lower(state, data, jax.random.key(0)).compile().cost_analysis()
+    assert update_flops(config, stage, SPACES) == pytest.approx(cost["flops"], rel=0.1)

@@ -1,0 +1,129 @@
+"""The command line: one clear line for bad input, JSON on request, help that teaches."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from guider.cli import COMMANDS, main
+
+TINY = [
+    "--set",
+    "latent.updates=4",
+    "high.updates=4",
+    "low.updates=4",
+    "latent.hidden=(8,)",
+    "high.hidden=(8,)",
+    "low.hidden=(8,)",
+    "low.batch_size=16",
+    "high.batch_size=16",
+]
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    path = tmp_path / "data" / "umaze.hdf5"
+    assert main(["collect", "pointmaze-umaze", "--steps", "600", "--out", str(path)]) == 0
+    return path
+
+
+def test_collect_train_evaluate_plot(recorded, tmp_path, capsys):
+    run = str(tmp_path / "run")
+    capsys.readouterr()
+    arguments = ["train", "pointmaze-umaze", "--data", str(recorded), "--seeds", "2", "--out", run, "--json", *TINY]
+    assert main(arguments) == 0
+    assert json.loads(capsys.readouterr().out) == {"run": run, "seeds": [0, 1]}
+    assert main(["evaluate", run, "--episodes", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["task"] == "pointmaze-umaze" and "MuJoCo" in result["environment"]
+    assert len(result["per_seed"]) == 2 and result["episode_seeds"] == [0, 5]
+    assert result["departures"]["low.updates"] == 4 and result["preset"] == "fast"
+    assert main(["plot", run, "--json"]) == 0
+    plots = json.loads(capsys.readouterr().out)["plots"]
+    assert len(plots) >= 5
+    assert main(["evaluate", run, "--episodes", "2"]) == 0
+    assert "success" in capsys.readouterr().out
+
+
+def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
+    import numpy as np
+    from jax import tree
+
+    from guider import runs
+
+    base = ["train", "pointmaze-umaze", "--data", str(recorded), "--json"]
+    for name, extra in (("plain", []), ("watched", ["--evaluate-every", "2"])):
+        assert main([*base, "--out", str(tmp_path / name), *extra, *TINY]) == 0
+    plain, watched = (runs.open_run(tmp_path / name).restore()[1] for name in ("plain", "watched"))
+    for a, b in zip(tree.leaves(plain), tree.leaves(watched), strict=True):
+        np.testing.assert_array_equal(a, b)
+    (line,) = runs.read_lines(tmp_path / "watched" / "evaluations.jsonl")
+    assert line["update"] == 4 and 0 <= line["success"][0] <= 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "pointmaze-larg", "--data", "x.hdf5"], "did you mean pointmaze-large"),
+        (["train", "pointmaze-large", "--data", "missing.hdf5"], "missing.hdf5"),
+        (["train", "pointmaze-large"], "no data given"),
+        (["train", "--data", "x.npz"], "--goal-indices"),
+        (["train", "--resume", "nowhere"], "is not a run"),
+        (["evaluate", "nowhere"], "is not a run"),
+        (["plot", "nowhere"], "is not a run"),
+        (["data", "inspect", "nowhere.npz"], "nowhere.npz"),
+        (["collect", "antmaze-large-diverse", "--out", "x.hdf5"], "cannot be collected here"),
+        (["collect", "nothing", "--out", "x.hdf5"], "no task is called 'nothing'"),
+    ],
+)
+def test_bad_input_gets_one_line_and_a_status(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    error = [line for line in capsys.readouterr().err.splitlines() if line.strip().startswith("guider:")]
+    assert len(error) == 1 and message in error[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_foreign_and_existing_files_are_refused(recorded, tmp_path, capsys):
+    foreign = tmp_path / "notes.txt"
+    foreign.write_text("hello")
+    assert main(["data", "inspect", str(foreign)]) == 1
+    assert "neither" in capsys.readouterr().err
+    assert main(["collect", "pointmaze-umaze", "--steps", "60", "--out", str(recorded)]) == 1
+    assert "never overwritten" in capsys.readouterr().err
+    run = tmp_path / "run"
+    run.mkdir()
+    assert main(["train", "pointmaze-umaze", "--data", str(recorded), "--out", str(run), *TINY]) == 1
+    assert "exists already" in capsys.readouterr().err
+    assert main(["train", "pointmaze-umaze", "--data", str(recorded), "--set", "high.sample=3"]) == 1
+    assert "did you mean high.samples" in capsys.readouterr().err
+
+
+def test_inspect_says_what_a_file_holds(tmp_path, capsys):
+    path = tmp_path / "log.hdf5"
+    with h5py.File(path, "w") as file:
+        file["observations"] = np.random.default_rng(0).normal(size=(30, 3))
+        file["actions"] = np.zeros((30, 1)) + np.linspace(-1, 1, 30)[:, None]
+        file["lengths"] = [10, 20]
+    assert main(["data", "inspect", str(path), "--goal-indices", "0", "--json"]) == 0
+    description = json.loads(capsys.readouterr().out)
+    assert (description["rows"], description["episodes"]) == (30, 2)
+
+
+def test_tasks_lists_every_task(capsys):
+    assert main(["tasks", "--json"]) == 0
+    names = [row["task"] for row in json.loads(capsys.readouterr().out)]
+    assert "pointmaze-large" in names and "antmaze-large-diverse" in names
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_teaches_every_command(command):
+    answer = subprocess.run(
+        [sys.executable, "-m", "guider.cli", command, "--help"], capture_output=True, text=True, check=True
+    )
+    assert COMMANDS[command].__doc__.split("\n")[0].split(":")[0].split(",")[0] in " ".join(answer.stdout.split())

@@ -1,0 +1,280 @@
+"""The method's parts against hand-worked cases, its switches, and a small task learned to a stated score."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_ragged, tiny
+from test_training import train_guider
+
+from guider import losses
+from guider.config import differences, from_dict, override, to_dict
+from guider.episodes import make_episodes
+from guider.errors import GuiderError
+from guider.methods import guider as method
+from guider.methods import latent_subgoals, subgoal_policy
+from guider.methods.guider import GuiderConfig
+from guider.methods.scaling import Scale
+from guider.networks import Gaussian
+from guider.policy import Policy, act, initial_state
+from guider.presets import departures, guider_config
+from guider.samplers import HighBatch, LowBatch
+
+
+def policy_of(config, episodes, seeds=(0,)) -> Policy:
+    state = train_guider(config, episodes, seeds)
+    return Policy(
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), state),
+        jnp.asarray(episodes.action_low),
+        jnp.asarray(episodes.action_high),
+        "guider",
+        config,
+        episodes.goal_indices,
+        episodes.observations.shape[1],
+    )
+
+
+SWITCHES = {
+    "paper": {},
+    "without prior (Table 2)": {"high.prior": "False"},
+    "without CQL (Table 2)": {"high.critic": "td"},
+    "without decoder (Figure 5)": {"low.subgoal_input": "latent"},
+    "without decoder, as acting substitutes the goal": {
+        "low.subgoal_input": "latent",
+        "final_goal_substitution": "True",
+    },
+    "expectile critic": {"high.critic": "expectile"},
+    "fixed conservative weight": {"high.lagrange_threshold": "None"},
+    "strict relabelling": {"high.goal_offset": "1", "boundary": "drop"},
+    "subgoal slack of the authors": {"low.subgoal_slack_steps": "5"},
+}
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+@pytest.mark.parametrize("switches", SWITCHES.values(), ids=SWITCHES)
+def test_every_switch_trains_and_acts(switches, preset):
+    config = override(tiny(guider_config(preset, 0.5, 1.0, period_steps=5)), switches)
+    episodes = make_ragged()
+    data, scale = method.prepare(config, episodes)
+    state = fresh = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    for stage in method.stages(config):  # uncompiled: compiling each combination would take minutes
+        state, _ = stage.update(state, data, jax.random.key(1))
+    for part in ("latent", "high", "low"):
+        moved = jax.tree.map(jnp.array_equal, getattr(state, part).params, getattr(fresh, part).params)
+        assert not all(jax.tree.leaves(moved)), f"{part} did not learn"
+    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
+    actions, acting = act(policy, jnp.zeros((3, 4)), jnp.ones((3, 2)), initial_state(policy, 3), jnp.ones(3, bool))
+    assert actions.shape == (3, 2) and bool(jnp.all(jnp.abs(actions) <= 1))
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves((policy.state, acting)))
+
+
+def test_presets_are_what_they_say():
+    paper = guider_config("paper", 0.5, 1.0, 50)
+    assert departures(paper) == {}
+    assert paper == GuiderConfig()
+    assert (paper.latent.updates, paper.high.updates, paper.low.updates) == (500_000, 200_000, 500_000)
+    fast = guider_config("fast", 0.5, 1.0, 50)
+    assert departures(fast) == differences(fast, paper)
+    assert "normalise" in departures(fast)
+
+
+def test_configs_survive_json_and_name_their_faults():
+    config = guider_config("fast", 0.25, 0.35, 20)
+    assert from_dict(GuiderConfig, to_dict(config)) == config
+    assert override(config, {"low.hidden": "(8, 8)", "radius": "1"}).low.hidden == (8, 8)
+    for change, message in {
+        ("high.critic", "magic"): "must be one of cql, td, expectile",
+        ("low.updates", "many"): "must be of type int, got 'many'",
+        ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
+        ("radius", "-1"): "radius must be above 0",
+        ("hihg.samples", "1"): "did you mean high.samples",
+    }.items():
+        with pytest.raises(GuiderError, match=message):
+            override(config, dict([change]))
+
+
+def test_low_inputs_and_reward_by_hand():
+    config = replace(guider_config("paper", 0.5, 1.0, 5), low=replace(GuiderConfig().low, relative=True))
+    scale = Scale(jnp.zeros(3), jnp.full(3, 2.0), jnp.zeros(2), jnp.full(2, 10.0), jnp.full(2, 4.0), jnp.zeros(0))
+    spaces = make_ragged().spaces
+    state = method.init(config, replace(spaces, state_dim=3), scale, jax.random.key(0))
+    batch = LowBatch(
+        observation=jnp.array([[1.0, 2.0, 6.0]]),
+        action=jnp.zeros((1, 2)),
+        next_observation=jnp.array([[2.0, 2.0, 6.0]]),
+        achieved=jnp.array([[1.0, 2.0]]),
+        next_achieved=jnp.array([[2.0, 2.0]]),
+        subgoal=jnp.array([[2.4, 2.0]]),
+        goal=jnp.array([[11.0, 2.0]]),
+    )
+    seen = method.relabel_low(config, state, batch, jax.random.key(0))
+    np.testing.assert_allclose(seen.state, [[0.5, 1.0, 3.0, 1.4 / 4, 0.0, 1.0, 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(seen.next_state, [[1.0, 1.0, 3.0, 0.1, 0.0, 0.9, 0.0]], rtol=1e-5)
+    assert seen.reward.tolist() == [0.0], "0.4 m from the subgoal after the step"
+
+
+def test_high_relabelling_by_hand():
+    """z is drawn from the posterior of the true pair, and the reward is for meeting the goal after c steps."""
+    config = guider_config("paper", 0.5, 1.0, 5)
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    now, later = jnp.zeros((2, 2)), jnp.array([[3.0, 0.0], [3.0, 0.0]])
+    goal = jnp.array([[3.3, 0.0], [4.0, 0.0]])
+    seen = method.relabel_high(config, state, HighBatch(now, later, goal), jax.random.key(1))
+    assert seen.reward.tolist() == [0.0, -1.0]
+    np.testing.assert_array_equal(seen.state, [[0, 0, np.float32(3.3), 0], [0, 0, 4, 0]])
+    np.testing.assert_array_equal(seen.next_state, [[3, 0, np.float32(3.3), 0], [3, 0, 4, 0]])
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, now, later)
+    np.testing.assert_array_equal(seen.latent, posterior.sample(jax.random.key(1)))
+
+
+def test_targets_start_as_copies_of_the_critics():
+    state = method.init(guider_config("paper", 0.5, 1.0, 5), make_ragged().spaces, _unit(), jax.random.key(1))
+    for part in (state.high, state.low):
+        pairs = zip(jax.tree.leaves(part.params.critic), jax.tree.leaves(part.target_critic), strict=True)
+        assert all(jnp.array_equal(a, b) for a, b in pairs)
+
+
+def _unit() -> Scale:
+    return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
+
+
+def test_fused_cql_pass_is_the_separate_one():
+    """One critic pass over data and samples gives the TD error and gap of passes apart."""
+    config = replace(subgoal_policy.SubgoalPolicyConfig(hidden=(8,), samples=3), lagrange_threshold=None, discount=0.9)
+    state = subgoal_policy.init(jax.random.key(0), config, 4, 2)
+    key = jax.random.key(1)
+    normal = jax.random.normal
+    batch = subgoal_policy.Transitions(
+        state=normal(key, (6, 4)),
+        latent=normal(jax.random.key(2), (6, 2)),
+        reward=jnp.array([-1.0, 0, -1, -1, 0, -1]),
+        next_state=normal(jax.random.key(3), (6, 4)),
+        prior=Gaussian(jnp.zeros((6, 2)), jnp.zeros((6, 2))),
+    )
+    total, metrics = subgoal_policy._sampled_critic_loss(config, state.params, state.target_critic, batch, key)
+    plain, plain_metrics = subgoal_policy._sampled_critic_loss(
+        replace(config, critic="td"), state.params, state.target_critic, batch, key
+    )
+    np.testing.assert_allclose(metrics["td_error"], plain_metrics["td_error"], rtol=1e-5)
+    np.testing.assert_allclose(total, plain + 2 * metrics["conservative_gap"], rtol=1e-5)
+
+
+def constant_policy(**acting) -> Policy:
+    """Untrained policy whose networks are zero: it proposes its own position and never moves."""
+    config = tiny(replace(guider_config("paper", 0.5, 1.0, 3), **acting))
+    config = replace(config, latent=replace(config.latent, relative=True))
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = state._replace(
+        latent=jax.tree.map(jnp.zeros_like, state.latent),
+        high=jax.tree.map(jnp.zeros_like, state.high),
+        low=jax.tree.map(jnp.zeros_like, state.low),
+    )
+    return Policy(state, jnp.array([0.0, -2.0]), jnp.array([4.0, 2.0]), "guider", config, (0, 1), 4)
+
+
+def renewals(policy: Policy, positions) -> list[bool]:
+    """Whether the subgoal is new at each step; a subgoal is the position it was proposed at."""
+    acting, seen = initial_state(policy, 1), []
+    for step, x in enumerate(positions):
+        observation = jnp.array([[x, 0.0, 0.0, 0.0]])
+        actions, acting = act(policy, observation, jnp.array([[100.0, 0.0]]), acting, jnp.array([step == 0]))
+        assert actions.tolist() == [[2.0, 0.0]], "zero network output is the middle of the action bounds"
+        seen.append(float(acting.subgoal[0, 0]) == x)
+    return seen
+
+
+def test_a_new_subgoal_every_period():
+    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9, 10]) == [
+        True,
+        False,
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]
+
+
+def test_a_new_subgoal_as_soon_as_reached():
+    policy = constant_policy(replan="reached")
+    assert renewals(policy, [0, 5, 0.5, 7, 8, 7.5]) == [True, False, True, False, False, True]
+
+
+def test_final_goal_is_substituted_only_within_reach():
+    policy = constant_policy(final_goal_substitution=True)
+    goal = jnp.array([[0.9, 0.0], [1.1, 0.0]])
+    subgoal, _ = method.propose_subgoal(policy.config, policy.state, jnp.zeros((2, 2)), goal)
+    np.testing.assert_allclose(subgoal, [[0.9, 0.0], [0.0, 0.0]])
+
+
+def test_acting_is_batched_row_by_row():
+    episodes = make_ragged()
+    policy = policy_of(tiny(guider_config("fast", 0.5, 1.0, 5)), episodes)
+    observations, goals = jnp.asarray(episodes.observations[:6]), jnp.ones((6, 2))
+    together, _ = act(policy, observations, goals, initial_state(policy, 6), jnp.ones(6, bool))
+    for row in range(6):
+        alone, _ = act(policy, observations[row : row + 1], goals[:1], initial_state(policy, 1), jnp.ones(1, bool))
+        np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-5)
+
+
+def corridor(episodes: int = 120, length: int = 25):
+    """A point pushed along a line of 20 m by its action, +-1 m a step; each episode walks one way."""
+    rng = np.random.default_rng(0)
+    observations, actions = [], []
+    for _ in range(episodes):
+        x, way = rng.uniform(-10, 10), rng.choice([-1.0, 1.0])
+        for _ in range(length):
+            action = np.clip(0.6 * way + rng.normal() * 0.4, -1, 1)
+            observations.append([x])
+            actions.append([action])
+            x = np.clip(x + action, -10, 10)
+    return make_episodes(np.array(observations), np.array(actions), [length] * episodes, (0,))
+
+
+def test_guider_learns_to_cross_a_corridor_longer_than_its_episodes_go():
+    """Goals 15 m away, either way; recorded episodes move 13 m on average, in steps against noise."""
+    config = override(
+        guider_config("fast", radius=0.5, reach_radius=1.0, period_steps=5),
+        {
+            "latent.updates": "1500",
+            "high.updates": "1500",
+            "low.updates": "1500",
+            "latent.latent_dim": "1",
+            "latent.hidden": "(32, 32)",
+            "high.hidden": "(32, 32)",
+            "low.hidden": "(32, 32)",
+            "low.batch_size": "128",
+        },
+    )
+    policy = policy_of(config, corridor())
+    position, goal = jnp.array([[-7.5], [7.5]]), jnp.array([[7.5], [-7.5]])
+    acting, met = initial_state(policy, 2), np.zeros(2, bool)
+    for step in range(40):
+        actions, acting = act(policy, position, goal, acting, jnp.full(2, step == 0))
+        position = jnp.clip(position + actions, -10, 10)
+        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
+    assert met.all()
+
+
+def test_latent_model_learns_what_is_reachable():
+    """Displacements of +-3 m along one axis: the decoder spans both, the prior covers them, the error is small."""
+    rng = np.random.default_rng(1)
+    way = rng.choice([-3.0, 3.0], 4000)
+    start = rng.uniform(-5, 5, 4000)
+    positions = np.stack([start, start + way], axis=1).reshape(-1, 1)
+    episodes = make_episodes(positions, np.zeros((8000, 1)), [2] * 4000, (0,))
+    config = tiny(guider_config("fast", 0.5, 1.0, period_steps=1), updates=1500)
+    config = replace(config, latent=replace(config.latent, latent_dim=1, learning_rate=3e-3))
+    policy = policy_of(config, episodes)
+    state = policy.state
+    at = jnp.zeros((2, 1))
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, at, jnp.array([[-3.0], [3.0]]))
+    decoded = latent_subgoals.decode(config.latent, state.latent.params, state.scale, at, posterior.mean)
+    np.testing.assert_allclose(decoded[:, 0], [-3.0, 3.0], atol=0.3)
+    prior = latent_subgoals.prior(state.latent.params, state.scale, at)
+    assert bool(jnp.all(jnp.abs(posterior.mean - prior.mean) <= 2.5 * jnp.exp(prior.log_std)))
+    assert bool(jnp.all(losses.gaussian_kl(posterior, prior) > 0.2)), "the latent tells the ways apart"

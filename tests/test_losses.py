@@ -1,0 +1,144 @@
+"""Each equation against numbers worked out by hand or an independent reference."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from guider import losses
+from guider.networks import Gaussian, gaussian_head, mlp, mlp_init, twin_init, twin_values
+
+
+def gaussian(mean, std):
+    return Gaussian(jnp.asarray(mean, jnp.float32), jnp.log(jnp.asarray(std, jnp.float32)))
+
+
+def test_goal_reward_by_hand():
+    achieved = jnp.array([[0.0, 0.0], [3.0, 4.0], [0.3, 0.4]])
+    reward = losses.goal_reward(achieved, jnp.zeros((3, 2)), radius=0.5001)
+    assert reward.tolist() == [0.0, -1.0, 0.0]
+    assert losses.goal_reward(achieved[2:], jnp.zeros((1, 2)), radius=0.5).tolist() == [-1.0], "strict (Eq. 1)"
+
+
+def test_gaussian_kl_by_hand():
+    # KL(N(1, 2^2) || N(0, 1)) = (4 + 1 - 1)/2 - ln 2 ; KL(N(0,1) || N(0, 2^2)) = (1/4 - 1)/2 + ln 2
+    kl = losses.gaussian_kl(gaussian([[1.0, 0.0]], [[2.0, 1.0]]), gaussian([[0.0, 0.0]], [[1.0, 2.0]]))
+    np.testing.assert_allclose(kl, [[2 - np.log(2), -0.375 + np.log(2)]], rtol=1e-6)
+
+
+def test_gaussian_kl_agrees_with_sampling():
+    p, q = gaussian([0.3, -1.0], [0.5, 1.5]), gaussian([0.0, 0.5], [1.0, 0.8])
+    draws = p.sample(jax.random.key(0), (400_000,))
+    estimate = jnp.mean(p.log_prob(draws) - q.log_prob(draws))
+    assert float(losses.gaussian_kl(p, q).sum()) == pytest.approx(float(estimate), rel=0.01)
+
+
+@pytest.mark.parametrize("balance", [0.0, 0.3, 0.8, 1.0])
+def test_balanced_kl_splits_the_gradient_and_keeps_the_value(balance):
+    posterior, prior = gaussian([[0.5]], [[0.7]]), gaussian([[-0.2]], [[1.1]])
+    value = losses.balanced_kl(posterior, prior, balance)
+    np.testing.assert_allclose(value, losses.gaussian_kl(posterior, prior), rtol=1e-6)
+    whole = jax.grad(lambda p, q: losses.gaussian_kl(p, q).sum(), (0, 1))(posterior, prior)
+    split = jax.grad(lambda p, q: losses.balanced_kl(p, q, balance).sum(), (0, 1))(posterior, prior)
+    np.testing.assert_allclose(split[0].mean, (1 - balance) * whole[0].mean, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(split[1].log_std, balance * whole[1].log_std, rtol=1e-5, atol=1e-7)
+
+
+def test_negative_elbo_by_hand():
+    # error: mean(1, 9) = 5; KL per dimension as above, mean (2 - 0.375) / 2 = 0.8125; beta 0.1
+    loss, error, kl = losses.negative_elbo(
+        jnp.array([[1.0, 3.0]]),
+        jnp.zeros((1, 2)),
+        gaussian([[1.0, 0.0]], [[2.0, 1.0]]),
+        gaussian([[0.0, 0.0]], [[1.0, 2.0]]),
+        beta=0.1,
+        balance=0.8,
+    )
+    np.testing.assert_allclose([error[0], kl[0], loss[0]], [5.0, 0.8125, 5.08125], rtol=1e-6)
+
+
+def test_td_target_stops_at_a_met_goal():
+    target = losses.td_target(jnp.array([-1.0, 0.0]), jnp.array([-10.0, -10.0]), discount=0.9)
+    np.testing.assert_allclose(target, [-10.0, 0.0])
+
+
+def test_conservative_gap_by_hand():
+    # log mean(exp(1 - ln .5), exp(3 - ln .25)) - 2 = ln((2e + 4e^3) / 2) - 2
+    gap = losses.conservative_gap(jnp.array([[1.0, 3.0]]), jnp.log(jnp.array([[0.5, 0.25]])), jnp.array([2.0]))
+    np.testing.assert_allclose(gap, [np.log((2 * np.e + 4 * np.e**3) / 2) - 2], rtol=1e-6)
+
+
+def test_conservative_gap_estimates_the_log_integral():
+    """With Q constant over a box of volume V, log-sum-exp over z of Q is Q + log V, whatever the proposals."""
+    uniform = jnp.full((1, 5000), 0.7)
+    gap = losses.conservative_gap(uniform, jnp.full((1, 5000), -jnp.log(6.0)), jnp.array([0.7]))
+    np.testing.assert_allclose(gap, [np.log(6.0)], rtol=1e-5)
+
+
+def test_expectile_loss_by_hand_and_fixed_point():
+    np.testing.assert_allclose(losses.expectile_loss(jnp.array([2.0, -2.0]), 0.7), [2.8, 1.2], rtol=1e-6)
+    # The 0.7-expectile of {0, 1} is 0.7: its gradient vanishes there.
+    gradient = jax.grad(lambda m: losses.expectile_loss(jnp.array([0.0, 1.0]) - m, 0.7).sum())(0.7)
+    assert float(gradient) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_advantage_weight_by_hand():
+    weight = losses.advantage_weight(jnp.array([0.0, 1.0, 5.0, 1e9, -1e9]), temperature=2.0, ceiling=10.0)
+    np.testing.assert_allclose(weight, [1.0, np.exp(0.5), 10.0, 10.0, 0.0], rtol=1e-6)
+
+
+def test_weighted_regression_is_a_gaussian_log_likelihood():
+    """Eq. 6: its gradient is that of -w log N(a; mu, 1), up to the mean over dimensions and the factor 2."""
+    action, weight = jnp.array([[0.5, -0.5]]), jnp.array([3.0])
+    predicted = jnp.array([[0.1, 0.2]])
+
+    def likelihood(mean):
+        return -(weight * Gaussian(mean, jnp.zeros_like(mean)).log_prob(action)).sum()
+
+    ours = jax.grad(lambda m: losses.weighted_regression(weight, m, action).sum())(predicted)
+    np.testing.assert_allclose(ours, jax.grad(likelihood)(predicted), rtol=1e-6)
+    assert jax.grad(lambda w: losses.weighted_regression(w, predicted, action).sum())(weight).tolist() == [0.0]
+
+
+def test_log_prob_by_hand():
+    expected = -0.5 * (1.0 / 2) ** 2 - np.log(2) - 0.5 * np.log(2 * np.pi)
+    np.testing.assert_allclose(gaussian([0.0], [2.0]).log_prob(jnp.array([1.0])), expected, rtol=1e-6)
+
+
+def test_mlp_by_hand():
+    layers = (
+        (jnp.array([[1.0, -1.0]]), jnp.array([0.0, 0.5])),
+        (jnp.array([[2.0], [3.0]]), jnp.array([1.0])),
+    )
+    # x = 2: hidden relu(2, -1.5) = (2, 0); out 2*2 + 1
+    assert mlp(layers, jnp.array([2.0])).tolist() == [5.0]
+
+
+def test_dropout_keeps_the_mean_and_needs_a_key():
+    layers = mlp_init(jax.random.key(0), (3, 64, 1))
+    x = jnp.ones((3,))
+    plain = mlp(layers, x, dropout=0.5)
+    assert jnp.array_equal(plain, mlp(layers, x))
+    dropped = jax.vmap(lambda k: mlp(layers, x, dropout=0.5, key=k))(jax.random.split(jax.random.key(1), 20_000))
+    np.testing.assert_allclose(dropped.mean(axis=0), plain, atol=0.02)
+    assert dropped.std() > 0.01
+
+
+def test_gaussian_head_clips_log_std():
+    head = gaussian_head(jnp.array([1.0, 2.0, -100.0, 100.0]))
+    assert head.mean.tolist() == [1.0, 2.0] and head.log_std.tolist() == [-5.0, 2.0]
+
+
+def test_shared_first_layer_is_the_plain_network():
+    """twin_values computes the context's product once; the result is that of the concatenated input."""
+    twins = twin_init(jax.random.key(0), (5, 8, 8, 1))
+    context = jax.random.normal(jax.random.key(1), (4, 3))
+    actions = jax.random.normal(jax.random.key(2), (4, 6, 2))
+    wide = jnp.broadcast_to(context[:, None], (4, 6, 3))
+    for twin in range(2):
+        layers = jax.tree.map(lambda leaf, t=twin: leaf[t], twins)
+        plain = mlp(layers, jnp.concatenate([wide, actions], axis=-1))[..., 0]
+        np.testing.assert_allclose(twin_values(twins, context, actions)[twin], plain, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(twin_values(twins, context, actions[:, 0])[twin], plain[:, 0], rtol=1e-4, atol=1e-5)

@@ -1,0 +1,41 @@
+"""What the README promises: its snippet runs as printed, in under 15 lines, and its commands exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from conftest import make_ragged, tiny
+
+import guider.presets
+from guider.cli import COMMANDS
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+
+
+def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys):
+    (snippet,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert len(snippet.strip().splitlines()) < 15
+    full_size = guider.presets.guider_config
+    monkeypatch.setattr("guider.api.guider_config", lambda *arguments: tiny(full_size(*arguments)))
+    monkeypatch.chdir(tmp_path)
+    logs = make_ragged([20] * 20)
+    np.savez("logs.npz", observations=logs.observations, actions=logs.actions, lengths=logs.lengths)
+    names: dict = {}
+    exec(snippet, names)
+    assert names["action"].shape == (2,)
+    assert "action_error" in capsys.readouterr().out
+
+
+def test_the_commands_it_names_exist():
+    named = set(re.findall(r"^guider (\w+)", README, flags=re.MULTILINE)) | set(re.findall(r"`guider (\w+)", README))
+    assert named == {"tasks", "data", "train", "evaluate", "plot"}
+    assert named <= set(COMMANDS)
+
+
+def test_the_files_it_names_exist():
+    root = Path(__file__).parent.parent
+    (tree,) = re.findall(r"```\n(guider/\n.*?)```", README, flags=re.DOTALL)
+    for name in re.findall(r"\b(\w+\.(?:py|md))\b", tree):
+        assert list(root.glob(f"guider/**/{name}")) or (root / "docs" / name).exists(), name

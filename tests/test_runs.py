@@ -1,0 +1,193 @@
+"""Runs on disk: a killed run resumes to the bit, and nothing is lost or silently overwritten."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import jax
+import numpy as np
+import pytest
+from conftest import make_ragged
+
+import guider
+from guider import runs
+from guider.errors import GuiderError
+
+SETTINGS = {
+    "latent.updates": "6",
+    "high.updates": "6",
+    "low.updates": "12",
+    "latent.hidden": "(8,)",
+    "high.hidden": "(8,)",
+    "low.hidden": "(8,)",
+    "high.samples": "2",
+    "latent.batch_size": "16",
+    "high.batch_size": "16",
+    "low.batch_size": "16",
+}
+OWN = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": SETTINGS}
+
+
+def write_plain(path: Path, seed: int = 0) -> Path:
+    episodes = make_ragged(seed=seed)
+    np.savez(path, observations=episodes.observations, actions=episodes.actions, lengths=episodes.lengths)
+    return path
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    return write_plain(tmp_path / "logs.npz")
+
+
+def final_state(run: runs.Run):
+    return jax.tree.leaves(run.restore()[1])
+
+
+def assert_bit_equal(first: runs.Run, second: runs.Run) -> None:
+    for a, b in zip(final_state(first), final_state(second), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
+    run = guider.train(data=logs, out=tmp_path / "run", seeds=2, **OWN)
+    opened = runs.open_run(tmp_path / "run")
+    assert opened.spec == run.spec
+    lines = runs.read_lines(tmp_path / "run" / "metrics.jsonl")
+    assert [line["stage"] for line in lines] == ["latent subgoals", "subgoal policy", "goal policy"]
+    assert len(lines[0]["metrics"]["loss"]) == 2
+    agent = guider.load(tmp_path / "run", seed=1)
+    action = agent.act(np.zeros(4), np.ones(2))
+    assert action.shape == (2,) and np.all(np.abs(action) <= 1)
+
+
+def test_a_killed_run_resumes_to_the_bit(logs, tmp_path):
+    """SIGKILL in the middle of the last stage, then --resume; the same with a run never interrupted."""
+    script = f"""
+import os, signal, guider
+from guider.training import Chunk
+def die(chunk, state):
+    if chunk.stage.name == "goal policy" and chunk.position.update == 8:
+        os.kill(os.getpid(), signal.SIGKILL)
+guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, seeds=2, on_chunk=die,
+             chunk_updates=2, checkpoint_seconds=0.0, **{OWN!r})
+"""
+    killed = subprocess.run([sys.executable, "-c", script], env=os.environ, capture_output=True, text=True)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    with pytest.raises(GuiderError, match=r"stopped after 6 of 12 updates of the goal policy stage.*--resume"):
+        guider.load(tmp_path / "killed")
+    resumed = guider.resume(tmp_path / "killed", chunk_updates=5)
+    whole = guider.train(data=logs, out=tmp_path / "whole", seeds=2, chunk_updates=2, **OWN)
+    assert_bit_equal(resumed, whole)
+    totals = [line["total_updates"] for line in runs.read_lines(tmp_path / "killed" / "metrics.jsonl")]
+    assert totals == sorted(set(totals)) and totals[-1] == 24
+
+
+def test_a_run_killed_at_any_moment_resumes(logs, tmp_path):
+    """Killed from outside, wherever it is: nothing half-written keeps it from resuming."""
+    script = f"""
+import guider
+guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, chunk_updates=1, checkpoint_seconds=0.0,
+             **{OWN!r})
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
+    metrics = tmp_path / "killed" / "metrics.jsonl"
+    deadline = time.monotonic() + 120
+    while len(runs.read_lines(metrics)) < 4 and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    resumed = guider.resume(tmp_path / "killed")
+    assert_bit_equal(resumed, guider.train(data=logs, out=tmp_path / "whole", **OWN))
+
+
+def test_resuming_a_finished_run_changes_nothing(logs, tmp_path):
+    run = guider.train(data=logs, out=tmp_path / "run", **OWN)
+    before = final_state(run)
+    guider.resume(tmp_path / "run")
+    for a, b in zip(before, final_state(run), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_an_existing_run_is_never_overwritten(logs, tmp_path):
+    (tmp_path / "run").mkdir()
+    with pytest.raises(GuiderError, match=r"exists already.*--resume"):
+        guider.train(data=logs, out=tmp_path / "run", **OWN)
+
+
+def test_resuming_on_other_data_is_refused(logs, tmp_path):
+    guider.train(data=logs, out=tmp_path / "run", **OWN)
+    other = write_plain(tmp_path / "other.npz", seed=1)
+    with pytest.raises(GuiderError, match=r"is not the data .* was trained on"):
+        guider.resume(tmp_path / "run", other)
+
+
+def test_a_checkpoint_of_another_config_is_refused(logs, tmp_path):
+    guider.train(data=logs, out=tmp_path / "run", **OWN)
+    path = tmp_path / "run" / "run.json"
+    values = json.loads(path.read_text())
+    values["config"]["low"]["hidden"] = [9]
+    path.write_text(json.dumps(values))
+    with pytest.raises(GuiderError, match="does not fit this run's config"):
+        guider.load(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda v: v | {"run_format": 99}, "another version"),
+        (lambda v: v | {"method": "magic"}, "names the method 'magic'"),
+        (lambda v: v | {"config": v["config"] | {"perod": 3}}, "did you mean period_steps"),
+        (lambda v: v | {"config": v["config"] | {"replan": "never"}}, "must be one of period, reached"),
+        (lambda v: {k: x for k, x in v.items() if k != "seeds"}, "lacks the setting 'seeds'"),
+    ],
+)
+def test_a_damaged_run_is_explained(logs, tmp_path, change, message):
+    guider.train(data=logs, out=tmp_path / "run", **OWN)
+    path = tmp_path / "run" / "run.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    with pytest.raises(GuiderError, match=message):
+        runs.open_run(tmp_path / "run")
+
+
+def test_what_is_no_run_is_explained(tmp_path):
+    with pytest.raises(GuiderError, match=r"is not a run: it has no run\.json"):
+        runs.open_run(tmp_path)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(GuiderError, match="cannot be read"):
+        runs.open_run(tmp_path)
+
+
+def test_own_data_is_scored_on_episodes_training_never_saw(logs, tmp_path):
+    run = guider.train(data=logs, out=tmp_path / "run", held_out=0.4, **OWN)
+    result = guider.evaluate(run)
+    assert result["held_out_episodes"] == 2
+    scores = result["per_seed"][0]
+    assert set(scores) >= {"action_error", "prior_coverage", "subgoals_in_range", "value_rank"}
+    assert all(np.isfinite(value) for value in scores.values())
+    assert json.loads((tmp_path / "run" / "evaluation.json").read_text()) == result
+
+
+def test_data_of_another_robot_is_refused(tmp_path):
+    path = tmp_path / "ant.hdf5"
+    with h5py.File(path, "w") as file:
+        file["observations"] = np.random.default_rng(0).normal(size=(20, 29))
+        file["actions"] = np.zeros((20, 8))
+        file["timeouts"] = np.arange(20) % 10 == 9
+        file["terminals"] = np.zeros(20, bool)
+    with pytest.raises(GuiderError, match="holds states of 29 and actions of 8 numbers; pointmaze-large"):
+        guider.train("pointmaze-large", path, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_own_data_needs_a_goal(logs, tmp_path):
+    with pytest.raises(GuiderError, match="--goal-indices"):
+        guider.train(data=logs, out=tmp_path / "run")
+    with pytest.raises(GuiderError, match="no data given"):
+        guider.train("pointmaze-umaze")

@@ -1,0 +1,85 @@
+"""The engine: chunking never matters, seeds do, and a seed's run is bit-equal to itself."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from guider.methods import METHODS
+from guider.training import Position, Stage, init_seeds, seed_keys, train
+
+
+def equal(first, second) -> bool:
+    leaves = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in leaves)
+
+
+def train_guider(config, episodes, seeds, **settings):
+    method = METHODS["guider"]
+    data, scale = method.prepare(config, episodes)
+    state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), seeds)
+    return jax.device_get(train(method.stages(config), state, data, seeds, **settings))
+
+
+def counting_stage(name="count", updates=7):
+    def update(state, data, key):
+        return state + data, {"draw": jax.random.uniform(key)}
+
+    return Stage(name, updates, update)
+
+
+def test_updates_metrics_and_positions_by_hand():
+    seen = []
+    state = train(
+        [counting_stage("one"), counting_stage("two", 3)],
+        jnp.zeros(2),
+        jnp.asarray(2.0),
+        seeds=(4, 9),
+        chunk_updates=5,
+        on_chunk=lambda chunk, state: seen.append((chunk, np.array(state))),
+    )
+    assert state.tolist() == [20.0, 20.0]
+    positions = [(c.stage.name, c.position.stage, c.position.update, c.updates) for c, _ in seen]
+    assert positions == [("one", 0, 5, 5), ("one", 0, 7, 2), ("two", 1, 3, 3)]
+    assert [s.tolist() for _, s in seen] == [[10, 10], [14, 14], [20, 20]]
+    key = jax.random.fold_in(jax.random.fold_in(seed_keys([9])[0], 1), 0)
+    draws = [jax.random.uniform(jax.random.fold_in(jax.random.fold_in(seed_keys([9])[0], 1), u)) for u in range(3)]
+    assert float(seen[2][0].metrics["draw"][1]) == pytest.approx(float(np.mean(draws)), rel=1e-6)
+    assert key.shape == ()
+
+
+def test_training_starts_where_it_is_told():
+    seen = []
+    state = train(
+        [counting_stage("one"), counting_stage("two", 3)],
+        jnp.zeros(1),
+        jnp.asarray(1.0),
+        seeds=(0,),
+        start=Position(0, 6),
+        on_chunk=lambda chunk, state: seen.append(chunk.updates),
+    )
+    assert state.tolist() == [4.0] and seen == [1, 3]
+
+
+def test_chunking_never_matters_to_the_bit(ragged, fast_config):
+    whole = train_guider(fast_config, ragged, (0, 1), chunk_updates=100)
+    pieces = train_guider(fast_config, ragged, (0, 1), chunk_updates=3)
+    assert equal(whole, pieces)
+
+
+def test_seeds_differ_and_equal_seeds_agree_to_the_bit(ragged, fast_config):
+    first = train_guider(fast_config, ragged, (3, 8))
+    again = train_guider(fast_config, ragged, (3, 8))
+    assert equal(first, again)
+    one, other = (jax.tree.map(lambda leaf, s=s: leaf[s], first.low.params) for s in range(2))
+    assert not equal(one, other)
+
+
+def test_every_part_of_the_state_moves_in_its_stage_only(ragged, fast_config):
+    states = [None]
+    train_guider(fast_config, ragged, (0,), on_chunk=lambda chunk, state: states.append(jax.device_get(state)))
+    latent, high, low = states[1:]
+    assert equal(latent.latent, low.latent) and equal(high.high, low.high)
+    assert not equal(latent.high, high.high) and not equal(high.low, low.low)
