@@ -47,13 +47,14 @@ def antmaze_episodes(episodes: int = 200, rows: int = 1001) -> Episodes:
 
 
 def trainer(config: GuiderConfig, stage: str, episodes: Episodes, seeds: Sequence[int] = (0,)) -> Run:
-    """run(updates): the stage's next updates for all seeds, in the compiled loop that training uses. Compiled here."""
+    """run(updates): the stage's next updates for all seeds, in the compiled loop that training uses."""
     index = STAGES.index(stage)
     data, scale = guider.prepare(config, episodes)
     keys = seed_keys(seeds)
     state = init_seeds(lambda key: guider.init(config, episodes.spaces, scale, key), seeds)
-    chunk = compile_chunk(guider.stages(config)[index], index).lower(state, data, keys, 0, 1).compile()
-    done = 0
+    chunk = compile_chunk(guider.stages(config)[index], index)
+    state, _ = chunk(state, data, keys, 0, 1)
+    done = 1
 
     def run(updates: int) -> None:
         nonlocal state, done
@@ -80,8 +81,8 @@ def alternate(contenders: Mapping[str, Run], rounds: int, seconds: float) -> dic
 
 def _units_for(run: Run, seconds: float) -> int:
     """How many units of work take about `seconds`; warms the contender up on the way."""
-    units, run_once = 1, run
-    run_once(1)
+    units = 1
+    run(1)
     while True:
         began = time.perf_counter()
         run(units)

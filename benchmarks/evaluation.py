@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.common import print_table, ratios, show_ratio, verdict
+from guider.episodes import Spaces
 from guider.evaluation import MAX_COPIES, rollout
 from guider.methods import guider
-from guider.methods.scaling import unit_scale
 from guider.policy import Policy
 from guider.presets import guider_config
 from guider.tasks import Task, find_task
@@ -51,8 +51,8 @@ class Recorder:
 def untrained_policy(task: Task) -> Policy:
     """The preset `fast` at full size, fresh from its initial draw."""
     config = guider_config("fast", task.radius, task.reach_radius, task.period_steps)
-    spaces = guider.Spaces(task.state_dim, task.goal_indices, (-1.0,) * task.action_dim, (1.0,) * task.action_dim)
-    state = guider.init(config, spaces, unit_scale(spaces), jax.random.key(0))
+    spaces = Spaces(task.state_dim, task.goal_indices, (-1.0,) * task.action_dim, (1.0,) * task.action_dim)
+    state = guider.init(config, spaces, guider.unit_scale(config, spaces), jax.random.key(0))
     bounds = jnp.asarray(spaces.action_low), jnp.asarray(spaces.action_high)
     return Policy(state, *bounds, "guider", config, task.goal_indices, task.state_dim)
 

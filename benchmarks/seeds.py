@@ -10,8 +10,16 @@ import json
 import statistics
 from typing import Any
 
-from benchmarks.common import STAGES, alternate, antmaze_config, antmaze_episodes, print_table, show_ratio
-from benchmarks.common import ratios, trainer
+from benchmarks.common import (
+    STAGES,
+    alternate,
+    antmaze_config,
+    antmaze_episodes,
+    print_table,
+    ratios,
+    show_ratio,
+    trainer,
+)
 from guider.episodes import Episodes
 
 

@@ -12,6 +12,7 @@ Shapes: B rows of a batch, S state, G goal, A action and Z latent entries, n sam
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,11 +48,11 @@ def torch_data(data: Data) -> TorchData:
 def mlp(sizes: Sequence[int], activation: nn.Module | None = None, dropout: float = 0.0) -> nn.Sequential:
     """Linear layers of the given sizes, each but the last followed by the activation (ReLU) and dropout."""
     modules: list[nn.Module] = []
-    for fan_in, fan_out in zip(sizes[:-2], sizes[1:-1], strict=True):
+    for fan_in, fan_out in pairwise(sizes[:-1]):
         modules += [nn.Linear(fan_in, fan_out), activation or nn.ReLU()]
         if dropout > 0:
             modules.append(nn.Dropout(dropout))
-    return nn.Sequential(*modules, nn.Linear(*sizes[-2:]))
+    return nn.Sequential(*modules, nn.Linear(sizes[-2], sizes[-1]))
 
 
 def copy_layers(network: nn.Sequential, layers: Iterable[tuple[Any, Any]]) -> None:

@@ -10,14 +10,25 @@ import json
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 from unittest import mock
 
 import jax
 import jax.numpy as jnp
 
-from benchmarks.common import STAGES, alternate, antmaze_config, antmaze_episodes, print_table, ratios, show_ratio
-from benchmarks.common import Run, trainer, verdict
+from benchmarks.common import (
+    STAGES,
+    Run,
+    alternate,
+    antmaze_config,
+    antmaze_episodes,
+    print_table,
+    ratios,
+    show_ratio,
+    trainer,
+    verdict,
+)
 from guider.episodes import Episodes, Spaces
 from guider.methods import guider, subgoal_policy
 from guider.methods.guider import GuiderConfig
@@ -39,12 +50,17 @@ SWITCHES: dict[str, dict[str, Any]] = {
 
 def forward_flops(sizes: Sequence[int], rows: int) -> float:
     """A multiplication and an addition per weight and row; activations and biases (under 1 %) are not counted."""
-    return 2.0 * rows * sum(a * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+    return 2.0 * rows * sum(a * b for a, b in pairwise(sizes))
 
 
 def training_flops(sizes: Sequence[int], rows: int) -> float:
     """A forward pass, and a backward pass to weights and inputs, of which the first layer's inputs need none."""
     return 3 * forward_flops(sizes, rows) - forward_flops(sizes[:2], rows)
+
+
+def layer_sizes(layers: Layers) -> tuple[int, ...]:
+    """(inputs, hidden ..., outputs) of a network, or of twins stacked along a leading axis."""
+    return (*(weight.shape[-2] for weight, _ in layers), layers[-1][0].shape[-1])
 
 
 def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
@@ -57,23 +73,20 @@ def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
     low: both critics and the actor are trained on B rows; forward go both target critics, the actor on next
         states, and both critics on the actor's actions.
     """
-    goal_dim, latent_dim = spaces.goal_dim, config.latent.latent_dim
-    encoder = (2 * goal_dim, *config.latent.hidden, 2 * latent_dim)
-    decoder = (goal_dim + latent_dim, *config.latent.hidden, goal_dim)
-    prior = (goal_dim, *config.latent.hidden, 2 * latent_dim)
+    scale = guider.unit_scale(config, spaces)
+    state = jax.eval_shape(lambda key: guider.init(config, spaces, scale, key), jax.random.key(0))
+    encoder, decoder, prior = map(layer_sizes, state.latent.params)
     if stage == "latent":
         return sum(training_flops(sizes, config.latent.batch_size) for sizes in (encoder, decoder, prior))
     if stage == "high":
+        actor, critic = layer_sizes(state.high.params.actor), layer_sizes(state.high.params.critic)
         rows, samples = config.high.batch_size, config.high.samples
-        actor = (2 * goal_dim, *config.high.hidden, 2 * latent_dim)
-        critic = (2 * goal_dim + latent_dim, *config.high.hidden, 1)
         relabelling = forward_flops(encoder, rows) + forward_flops(prior, rows)
         critics = 2 * (forward_flops(critic, rows * samples) + training_flops(critic, rows * (1 + 3 * samples)))
         policies = 2 * forward_flops(actor, rows) + training_flops(actor, rows) + 4 * forward_flops(critic, rows)
         return relabelling + critics + policies
-    rows, inputs = config.low.batch_size, spaces.state_dim + 2 * goal_dim
-    actor = (inputs, *config.low.hidden, spaces.action_dim)
-    critic = (inputs + spaces.action_dim, *config.low.hidden, 1)
+    actor, critic = layer_sizes(state.low.params.actor), layer_sizes(state.low.params.critic)
+    rows = config.low.batch_size
     critics = 2 * (training_flops(critic, rows) + 2 * forward_flops(critic, rows))
     return critics + training_flops(actor, rows) + forward_flops(actor, rows)
 
@@ -153,7 +166,7 @@ def unshared_twin_values(twins: Layers, context: jax.Array, actions: jax.Array) 
 
 
 def print_stages(results: dict[str, Any]) -> None:
-    header = ("stage", "guider /s", "torch /s", "ratio (min-max)", "GFLOP/update", "guider GFLOP/s", "torch GFLOP/s", "")
+    header = ("stage", "guider /s", "torch /s", "ratio (min-max)", "GFLOP/update", "GFLOP/s", "torch GFLOP/s", "")
     rows = []
     for stage, result in results.items():
         medians, achieved = result["median_rates"], result["gflops_per_second"]

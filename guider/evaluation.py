@@ -44,7 +44,10 @@ def rollout(
     keep_traces: int = 0,
     on_steps: Callable[[int, int], None] = lambda done, total: None,
 ) -> Rollouts:
-    """Run `episodes` episodes; episode e is wholly determined by the policy and seed first_seed + e.
+    """Run `episodes` episodes, episode e from seed first_seed + e.
+
+    Equal arguments give equal episodes. Another number of episodes changes the batch the policy is computed in, and
+    with it the rounding of its actions; in contact-rich simulations single episodes may then go another way.
 
     An episode ends when its goal is met (distance <= task.radius after a step) or after task.horizon_steps.
     keep_traces: how many episodes, the first ones, to record. on_steps(done, total) reports progress.
@@ -130,7 +133,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     rate = successes / trials
     centre = (rate + z**2 / (2 * trials)) / (1 + z**2 / trials)
     half = z / (1 + z**2 / trials) * np.sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
-    return float(centre - half), float(centre + half)
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
 def bootstrap_interval(success: np.ndarray, resamples: int = 2000) -> tuple[float, float]:

@@ -15,7 +15,6 @@ from benchmarks.updates import update_flops
 from guider.methods import goal_policy, latent_subgoals, subgoal_policy
 from guider.methods import guider as method
 from guider.methods.guider import GuiderConfig, GuiderState
-from guider.methods.scaling import unit_scale
 from guider.networks import Gaussian
 from guider.presets import guider_config
 from guider.samplers import Windows
@@ -36,7 +35,7 @@ def paper(**high) -> GuiderConfig:
 
 
 def state_of(config: GuiderConfig) -> GuiderState:
-    return method.init(config, SPACES, unit_scale(SPACES), jax.random.key(0))
+    return method.init(config, SPACES, method.unit_scale(config, SPACES), jax.random.key(0))
 
 
 def normal(seed: int, *shape: int) -> jax.Array:
@@ -145,4 +144,5 @@ def test_counted_operations_are_those_compiled(stage):
     state = method.init(config, SPACES, scale, jax.random.key(0))
     update = jax.jit(method.stages(config)[STAGES.index(stage)].update)
     cost = update.lower(state, data, jax.random.key(0)).compile().cost_analysis()
+    assert cost is not None
     assert update_flops(config, stage, SPACES) == pytest.approx(cost["flops"], rel=0.1)
