@@ -66,8 +66,8 @@ def train(
         hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collect else "a file"
         raise GuiderError(f"no data given: name it with --data ({hint})")
     benchmark = None if task is None else find_task(task)
-    goal_indices, radius, reach_radius = _goal(benchmark, data, goal_indices, radius, reach_radius)
-    episodes = _episodes(data, goal_indices, format)
+    goal, radius, reach_radius = _goal(benchmark, data, goal_indices, radius, reach_radius)
+    episodes = _episodes(data, goal, format)
     if benchmark is not None:
         _check_fits(benchmark, episodes)
     if period_steps is None:
@@ -270,7 +270,13 @@ def _with_evaluation(
     return callback
 
 
-def _goal(task: Task | None, data: Any, goal_indices, radius, reach_radius) -> tuple[Any, float, float]:
+def _goal(
+    task: Task | None,
+    data: Any,
+    goal_indices: Sequence[int] | None,
+    radius: float | None,
+    reach_radius: float | None,
+) -> tuple[Sequence[int], float, float]:
     """(goal_indices, radius, reach_radius), from the task where there is one, and checked."""
     if task is not None:
         if goal_indices is not None or radius is not None:

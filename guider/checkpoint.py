@@ -50,4 +50,4 @@ def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree]:
         except (ValueError, KeyError, OSError) as error:
             reason = str(error).strip().splitlines()[0]
             raise GuiderError(f"{directory / str(step)} does not fit this run's config: {reason}") from error
-    return Position(**restored.position), restored.state
+    return Position(**restored["position"]), restored["state"]

@@ -28,6 +28,7 @@ def train(
     method: Literal["guider"] = "guider",
     preset: Preset = "fast",
     seeds: int = 1,
+    first_seed: int = 0,
     out: Path | None = None,
     resume: Path | None = None,
     goal_indices: tuple[int, ...] = (),
@@ -53,6 +54,7 @@ def train(
         method: What to train.
         preset: `fast` fits two cores; `paper` is the paper's equations and the authors' settings.
         seeds: How many agents to train at once, in one compiled program.
+        first_seed: Their seeds count up from here, so that several machines can share a set of seeds.
         out: New directory for the run; by default runs/TASK-METHOD-PRESET.
         resume: Continue this interrupted run; the result is the same to the bit. Other settings are the run's own.
         goal_indices: Own data: the state entries that are the goal, e.g. 0 1 for x and y.
@@ -87,7 +89,7 @@ def train(
                 method=method,
                 preset=preset,
                 settings=_assignments(set),
-                seeds=seeds,
+                seeds=range(first_seed, first_seed + seeds),
                 out=directory,
                 held_out=held_out,
                 evaluate_every=evaluate_every,
@@ -230,7 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
         tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="guider",
-            description="Learn long, sparse-reward tasks from logged data: collect or bring data, train, evaluate, plot.",
+            description="Learn long, sparse-reward tasks from logged data: get data, train, evaluate, plot.",
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),
         )

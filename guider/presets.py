@@ -40,7 +40,7 @@ def guider_config(preset: Preset, radius: float, reach_radius: float, period_ste
         ),
         high=replace(
             paper.high,
-            updates=10_000,
+            updates=5_000,
             learning_rate=1e-3,
             hidden=(256, 256),
             relabel_fraction=0.7,
@@ -52,7 +52,7 @@ def guider_config(preset: Preset, radius: float, reach_radius: float, period_ste
         ),
         low=replace(
             paper.low,
-            updates=50_000,
+            updates=40_000,
             batch_size=256,
             learning_rate=1e-3,
             decay=True,

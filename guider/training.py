@@ -55,7 +55,7 @@ def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyT
     return jax.jit(jax.vmap(init))(seed_keys(seeds))
 
 
-def compile_chunk(stage: Stage, stage_index: int) -> Callable:
+def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:
     """run(state, data, keys, first, last) -> (state, mean metrics): updates first <= u < last for every seed.
 
     Update u of a seed draws from fold_in(fold_in(key, stage_index), u), and the loop's bounds are arguments

@@ -56,7 +56,7 @@ def logs(goal_dim: int) -> Episodes:
 def make_policy(goal_dim: int) -> Policy:
     """A policy of random numbers, so that nothing is compiled, with the goal space of logs(goal_dim)."""
     config, spaces, rng = small_config(), logs(goal_dim).spaces, np.random.default_rng(0)
-    scale = guider.unit_scale(spaces)
+    scale = guider.unit_scale(config, spaces)
     shapes = jax.eval_shape(lambda: guider.init(config, spaces, scale, jax.random.key(0)))
     state = jax.tree.map(lambda leaf: jnp.asarray(0.4 * rng.standard_normal(leaf.shape), jnp.float32), shapes)
     bounds = jnp.asarray([-1.0, -1.0]), jnp.asarray([1.0, 1.0])

@@ -16,6 +16,7 @@ import optax
 from guider import losses
 from guider.config import check_fraction, check_positive, check_shares
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
+from guider.optimisers import Rate, adam_step, trail
 
 Metrics = dict[str, jax.Array]
 
@@ -82,12 +83,12 @@ def init(key: jax.Array, config: GoalPolicyConfig, input_dim: int, action_dim: i
         actor=mlp_init(actor_key, (input_dim, *config.hidden, action_dim)),
         critic=twin_init(critic_key, (input_dim + action_dim, *config.hidden, 1)),
     )
-    return GoalPolicyState(params, params.critic, _optimiser(config).init(params))
+    return GoalPolicyState(params, params.critic, optax.adam(_rate(config)).init(params))
 
 
-def _optimiser(config: GoalPolicyConfig) -> optax.GradientTransformation:
+def _rate(config: GoalPolicyConfig) -> Rate:
     rate = config.learning_rate
-    return optax.adam(optax.cosine_decay_schedule(rate, max(1, config.updates)) if config.decay else rate)
+    return optax.cosine_decay_schedule(rate, max(1, config.updates)) if config.decay else rate
 
 
 def act(params: Params, state: jax.Array) -> jax.Array:
@@ -123,7 +124,6 @@ def update(config: GoalPolicyConfig, state: GoalPolicyState, batch: Transitions)
         return td + regression, metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
-    steps, optimiser = _optimiser(config).update(gradients, state.optimiser)
-    params = optax.apply_updates(old, steps)
-    target_critic = optax.incremental_update(params.critic, state.target_critic, config.target_rate)
+    params, optimiser = adam_step(_rate(config), old, gradients, state.optimiser)
+    target_critic = trail(state.target_critic, params.critic, config.target_rate)
     return GoalPolicyState(params, target_critic, optimiser), metrics

@@ -13,6 +13,7 @@ from guider import losses
 from guider.config import check_fraction, check_positive
 from guider.methods.scaling import Scale
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
+from guider.optimisers import adam_step
 from guider.samplers import Windows
 
 Metrics = dict[str, jax.Array]
@@ -113,5 +114,4 @@ def update(
 ) -> tuple[LatentState, Metrics]:
     """One step of Algorithm 1, line 3."""
     gradients, metrics = jax.grad(lambda p: loss(config, p, scale, batch, key), has_aux=True)(state.params)
-    steps, optimiser = optax.adam(config.learning_rate).update(gradients, state.optimiser)
-    return LatentState(optax.apply_updates(state.params, steps), optimiser), metrics
+    return LatentState(*adam_step(config.learning_rate, state.params, gradients, state.optimiser)), metrics

@@ -50,8 +50,8 @@ def unit_scale(spaces: Spaces, waves: int) -> Scale:
     """Raw inputs, with `waves` frequencies."""
     zeros, ones = jnp.zeros, jnp.ones
     state_dim, goal_dim = spaces.state_dim, spaces.goal_dim
-    means_and_stds = zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim)
-    return Scale(*means_and_stds, wave_frequencies(waves))
+    frequencies = wave_frequencies(waves)
+    return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim), frequencies)
 
 
 def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, waves: int) -> Scale:
@@ -62,5 +62,5 @@ def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, waves:
     achieved = episodes.achieved
     later = np.minimum(starts + period_steps, episodes.last_rows[starts])
     step_std = np.maximum(np.sqrt(np.mean((achieved[later] - achieved[starts]) ** 2, axis=0)), 1e-3)
-    arrays = (mean, std, mean[goal], std[goal], step_std)
-    return Scale(*(jnp.asarray(a, jnp.float32) for a in arrays), wave_frequencies(waves))
+    arrays = (mean, std, mean[goal], std[goal], step_std, wave_frequencies(waves))
+    return Scale(*(jnp.asarray(array, jnp.float32) for array in arrays))

@@ -17,6 +17,7 @@ import optax
 from guider import losses
 from guider.config import check_fraction, check_positive, check_shares
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
+from guider.optimisers import adam_step, trail
 
 Metrics = dict[str, jax.Array]
 
@@ -212,7 +213,6 @@ def update(
         return critic + actor, critic_metrics | actor_metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(state.params)
-    steps, optimiser = optax.adam(config.learning_rate).update(gradients, state.optimiser)
-    params = optax.apply_updates(state.params, steps)
-    target = optax.incremental_update(params.critic, state.target_critic, config.target_rate)
-    return SubgoalPolicyState(params, target, optimiser), metrics
+    params, optimiser = adam_step(config.learning_rate, state.params, gradients, state.optimiser)
+    target_critic = trail(state.target_critic, params.critic, config.target_rate)
+    return SubgoalPolicyState(params, target_critic, optimiser), metrics

@@ -47,7 +47,8 @@ class Task:
     period_steps:  the default subgoal period c
     environment:   which simulation a score comes from
     make_env:      number of copies -> VectorEnv
-    collect:       (steps, seed, path, report progress(done, total)) -> writes D4RL-style HDF5; None if data comes from elsewhere
+    collect:       (steps, seed, path, report progress(done, total)) -> writes D4RL-style HDF5; None if data comes
+                   from elsewhere
     maze:          walls for pictures; None outside mazes
     paper_score:   the paper's Guider score (Table 1), None for tasks that are not in it
     """
