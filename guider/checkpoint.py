@@ -32,18 +32,18 @@ def save(directory: Path, total_updates: int, position: Position, state: PyTree)
         manager.save(total_updates, args=arguments, force=True)
 
 
-def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree]:
-    """The newest checkpoint: (position, state shaped like `template`).
+def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree] | None:
+    """The newest complete checkpoint, (position, state shaped like `template`), or None where there is none.
 
-    template: tree of jax.ShapeDtypeStruct. Raises GuiderError where there is none, or it has another shape.
+    template: tree of jax.ShapeDtypeStruct. Raises GuiderError if the checkpoint has another shape.
     """
     if not directory.is_dir():
-        raise GuiderError(f"{directory.parent} holds no checkpoint yet; train it again from the start")
+        return None
     ocp, manager = _manager(directory)
     with manager:
         step = manager.latest_step()
         if step is None:
-            raise GuiderError(f"{directory.parent} holds no checkpoint yet; train it again from the start")
+            return None
         arguments = ocp.args.Composite(state=ocp.args.StandardRestore(template), position=ocp.args.JsonRestore())
         try:
             restored = manager.restore(step, args=arguments)

@@ -57,6 +57,11 @@ class Episodes:
     action_high: np.ndarray
     source: str
 
+    def __post_init__(self) -> None:
+        for name in ("observations", "actions", "goals"):
+            if (array := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _immutable(array))
+
     @property
     def lengths(self) -> np.ndarray:
         """[episodes] number of states in each episode."""
@@ -195,6 +200,19 @@ def make_episodes(
         action_high=high,
         source=source,
     )
+
+
+def _immutable(array: np.ndarray) -> np.ndarray:
+    """A read-only copy whose memory starts at a multiple of 64 bytes: JAX's CPU device shares such memory instead
+    of copying it, so that the data is held once."""
+    if not array.flags.writeable and array.ctypes.data % 64 == 0:
+        return array
+    memory = np.empty(array.nbytes + 64, np.uint8)
+    offset = -memory.ctypes.data % 64
+    copy = memory[offset : offset + array.nbytes].view(array.dtype).reshape(array.shape)
+    copy[...] = array
+    copy.flags.writeable = False
+    return copy
 
 
 def check_goal_indices(goal_indices: Sequence[int], state_dim: int, source: str) -> tuple[int, ...]:

@@ -68,21 +68,28 @@ class Run:
     def stages(self):
         return METHODS[self.spec.method].stages(self.spec.config)
 
-    def restore(self) -> tuple[Position, Any]:
-        """The newest checkpoint: (position, state of all seeds on the host)."""
+    def restore(self) -> tuple[Position, Any] | None:
+        """The newest checkpoint, (position, state of all seeds), or None where there is none yet."""
         return checkpoint.restore(self.directory / "checkpoints", _state_template(self.spec))
 
     def policies(self) -> list[Policy]:
         """The trained policy of every seed. Raises GuiderError while training is unfinished."""
-        position, state = self.restore()
+        restored = self.restore()
+        if restored is None:
+            raise GuiderError(f"{self.directory} holds no checkpoint yet; {_finish(self.directory)}")
+        position, state = restored
         last = self.stages[-1]
         if position != Position(len(self.stages) - 1, last.updates):
             stage = self.stages[position.stage]
             raise GuiderError(
                 f"{self.directory} stopped after {position.update} of {stage.updates} updates of the "
-                f"{stage.name} stage; finish it with `guider train --resume {self.directory}`"
+                f"{stage.name} stage; {_finish(self.directory)}"
             )
         return policies(self.spec, state)
+
+
+def _finish(directory: Path) -> str:
+    return f"finish it with `guider train --resume {directory}`"
 
 
 def policies(spec: RunSpec, state: Any) -> list[Policy]:
@@ -110,10 +117,11 @@ def start(
             f"{directory} exists already and is never overwritten; choose another --out, "
             f"or continue it with `guider train --resume {directory}`"
         )
+    run = Run(directory, spec)
+    prepared = _prepare(spec, episodes)
     directory.mkdir(parents=True)
     write_json(directory / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
-    run = Run(directory, spec)
-    _train(run, episodes, None, on_chunk, **pace)
+    _train(run, prepared, None, on_chunk, **pace)
     return run
 
 
@@ -122,13 +130,18 @@ def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None],
 
     The result is bit-equal to that of an uninterrupted run, if `episodes` are those of the spec's fingerprint.
     """
-    has_checkpoint = any((run.directory / "checkpoints").glob("*"))
-    _train(run, episodes, run.restore() if has_checkpoint else None, on_chunk, **pace)
+    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, **pace)
+
+
+def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:
+    """(data on the device, input scale) of the episodes to train on. Raises GuiderError if they do not suffice."""
+    training = episodes.split(spec.held_out)[0] if spec.held_out else episodes
+    return METHODS[spec.method].prepare(spec.config, training)
 
 
 def _train(
     run: Run,
-    episodes: Episodes,
+    prepared: tuple[Any, Any],
     restored: tuple[Position, Any] | None,
     on_chunk: Callable[[Chunk, Any], None],
     chunk_updates: int = 500,
@@ -136,8 +149,7 @@ def _train(
 ) -> None:
     """Run the stages, logging every chunk and checkpointing every `checkpoint_seconds` and at each stage's end."""
     method, spec = METHODS[run.spec.method], run.spec
-    training = episodes.split(spec.held_out)[0] if spec.held_out else episodes
-    data, scale = method.prepare(spec.config, training)
+    data, scale = prepared
     if restored is None:
         begin = Position(0, 0)
         state = init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.episodes import Episodes
+from guider.errors import GuiderError
 
 Boundary = Literal["clip", "drop"]
 
@@ -83,18 +84,27 @@ def window_starts(episodes: Episodes, period_steps: int, boundary: Boundary, min
 
 
 def device_data(episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float) -> Data:
-    """Episodes on the device. Transitions are learned from where a clipped window may start; see `window_starts`."""
+    """Episodes on the device; a CPU device shares their memory. Transitions are learned from where a clipped window
+    may start, see `window_starts`. Raises GuiderError where there is no window."""
     last = episodes.last_rows
     half_range = (episodes.action_high - episodes.action_low) / 2
     centre = (episodes.action_high + episodes.action_low) / 2
+    transition_rows = window_starts(episodes, period_steps, "clip", minimum_move)
+    window_rows = window_starts(episodes, period_steps, boundary, minimum_move)
+    if len(window_rows) == 0:
+        raise GuiderError(
+            f"{episodes.source}: no episode holds a window of {period_steps} steps that moves {minimum_move:g} or more "
+            f"in goal space (the longest episode has {episodes.lengths.max()} states); choose a shorter period "
+            "(--period-steps), or check the goal indices"
+        )
     return Data(
-        observations=jnp.asarray(episodes.observations),
+        observations=jax.device_put(episodes.observations, may_alias=True),
         actions=jnp.asarray((episodes.actions - centre) / half_range),
         achieved=jnp.asarray(episodes.achieved),
-        goals=None if episodes.goals is None else jnp.asarray(episodes.goals),
+        goals=None if episodes.goals is None else jax.device_put(episodes.goals, may_alias=True),
         last_row=jnp.asarray(last),
-        transition_rows=jnp.asarray(window_starts(episodes, period_steps, "clip", minimum_move)),
-        window_rows=jnp.asarray(window_starts(episodes, period_steps, boundary, minimum_move)),
+        transition_rows=jnp.asarray(transition_rows),
+        window_rows=jnp.asarray(window_rows),
     )
 
 

@@ -58,7 +58,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
     base = ["train", "pointmaze-umaze", "--data", str(recorded), "--json"]
     for name, extra in (("plain", []), ("watched", ["--evaluate-every", "2"])):
         assert main([*base, "--out", str(tmp_path / name), *extra, *TINY]) == 0
-    plain, watched = (runs.open_run(tmp_path / name).restore()[1] for name in ("plain", "watched"))
+    plain, watched = (runs.open_run(tmp_path / name).policies()[0] for name in ("plain", "watched"))
     for a, b in zip(tree.leaves(plain), tree.leaves(watched), strict=True):
         np.testing.assert_array_equal(a, b)
     (line,) = runs.read_lines(tmp_path / "watched" / "evaluations.jsonl")

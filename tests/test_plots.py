@@ -22,6 +22,10 @@ from guider.methods import guider
 from guider.methods.goal_policy import GoalPolicyConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig
+from guider.plots import canvas
+from guider.plots.gaps import fixed_period, subgoal_gaps, subgoal_outcomes
+from guider.plots.mazes import in_wall, legible_subgoals, maze_positions, spread_positions
+from guider.plots.subgoals import data_outcomes, proposals
 from guider.policy import Policy
 from guider.runs import Run, RunSpec
 from guider.tasks import find_task
@@ -98,32 +102,32 @@ def stars(axes: Axes) -> np.ndarray:
 def test_gaps_are_distances_to_where_the_robot_was_a_period_later():
     # The robot is at (0.5, 0) and (1, 0) after two periods of the first trace, whose third is cut short, and
     # at (0.5, 0) after one of the second.
-    gaps = plots.subgoal_gaps(TRACES, PERIOD)
+    gaps = subgoal_gaps(TRACES, PERIOD)
     np.testing.assert_allclose(gaps, [0.0, 1.2, 0.3], atol=1e-12)
 
 
 def test_outcomes_pair_every_whole_period():
-    subgoals, outcomes = plots.subgoal_outcomes(TRACES, PERIOD)
+    subgoals, outcomes = subgoal_outcomes(TRACES, PERIOD)
     np.testing.assert_allclose(subgoals, [(0.5, 0), (1, 1.2), (0.5, 0.3)])
     np.testing.assert_allclose(outcomes, [(0.5, 0), (1, 0), (0.5, 0)])
 
 
 def test_fixed_period_changes_only_when_and_what_is_asked():
     policy = make_policy(2)
-    config = plots.fixed_period(policy).config
+    config = fixed_period(policy).config
     assert (config.replan, config.final_goal_substitution) == ("period", False)
     assert replace(config, replan="reached", final_goal_substitution=True) == policy.config
 
 
 def test_spaced_keeps_the_first_of_every_crowd():
     points = np.array([[0.0], [0.4], [1.1], [0.9], [2.2], [1.0]])
-    np.testing.assert_array_equal(plots.spaced(points, 1.0), [0, 2, 4])
-    assert plots.spaced(np.zeros((0, 2)), 1.0).shape == (0,)
+    np.testing.assert_array_equal(canvas.spaced(points, 1.0), [0, 2, 4])
+    assert canvas.spaced(np.zeros((0, 2)), 1.0).shape == (0,)
 
 
 def test_stars_are_thinned_subgoals_at_the_moments_they_were_chosen():
     crowded = trace([(0.5, 0.0), (0.55, 0.0), (1.5, 0.0)])
-    np.testing.assert_array_equal(plots.legible_subgoals(crowded, 0.5), [0, 2 * PERIOD])
+    np.testing.assert_array_equal(legible_subgoals(crowded, 0.5), [0, 2 * PERIOD])
 
 
 def test_episodes_show_stars_flags_and_outcomes():
@@ -136,7 +140,7 @@ def test_episodes_show_stars_flags_and_outcomes():
     assert [text.get_text() for text in first.texts] == ["1", "2", "3"]
     [path] = [c for c in first.collections if isinstance(c, LineCollection)]
     assert len(path.get_segments()) == 14
-    flags = [line for line in first.lines if line.get_marker() is plots.FLAG]
+    flags = [line for line in first.lines if line.get_marker() is canvas.FLAG]
     np.testing.assert_allclose([points(line) for line in flags], [[(0, 2)]])
 
 
@@ -146,15 +150,15 @@ def test_arrows_leave_every_free_position_and_say_how_many_end_in_walls():
     goal = np.array([0.0, 2.0])
     figure = drawn(plots.subgoal_arrows(TASK, MAZE, episodes, policy, goal, TITLE))
     arrows, walled = [c for c in figure.axes[0].collections if isinstance(c, Quiver)]
-    starts = plots.maze_positions(MAZE, 3)
-    inside = plots.in_wall(MAZE, plots.proposals(policy, starts, goal)[0])
+    starts = maze_positions(MAZE, 3)
+    inside = in_wall(MAZE, proposals(policy, starts, goal)[0])
     assert (arrows.N, walled.N) == (len(starts), inside.sum())
-    assert len(starts) == 9 * 7 and not plots.in_wall(MAZE, starts).any()
+    assert len(starts) == 9 * 7 and not in_wall(MAZE, starts).any()
     assert TITLE in title_of(figure) and f"{inside.mean():.0%} inside a wall" in title_of(figure)
 
 
 def test_maze_positions_divide_a_cell_evenly():
-    positions = plots.maze_positions(MAZE, 2)
+    positions = maze_positions(MAZE, 2)
     np.testing.assert_allclose(positions[:4], [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)])
 
 
@@ -162,14 +166,14 @@ def test_proposals_are_the_policys_own_with_the_smaller_critics_value():
     policy = make_policy(2)
     here = np.array([[0.0, 0.0], [1.0, 0.5]], np.float32)
     goal = np.array([2.0, 2.0], np.float32)
-    subgoals, values = plots.proposals(policy, here, goal)
+    subgoals, values = proposals(policy, here, goal)
     expected, _ = guider.propose_subgoal(policy.config, policy.state, jnp.asarray(here[1]), jnp.asarray(goal))
     np.testing.assert_allclose(subgoals[1], expected, rtol=1e-5, atol=1e-6)
     assert values.shape == (2,)
 
 
 def test_in_wall():
-    np.testing.assert_array_equal(plots.in_wall(MAZE, np.array([[0, 0], [0, 1], [-1, 0]])), [False, True, True])
+    np.testing.assert_array_equal(in_wall(MAZE, np.array([[0, 0], [0, 1], [-1, 0]])), [False, True, True])
 
 
 def test_reachable_shows_prior_and_the_outcomes_of_nearby_windows():
@@ -178,17 +182,17 @@ def test_reachable_shows_prior_and_the_outcomes_of_nearby_windows():
     figure = drawn(plots.reachable_in_maze(MAZE, episodes, policy, np.array([[0.0, 0.0]]), TITLE))
     axes = figure.axes[0]
     drawn_at = {line.get_color(): points(line) for line in axes.lines}
-    starts, later = plots.data_outcomes(episodes, policy.config)
+    starts, later = data_outcomes(episodes, policy.config)
     near = np.linalg.norm(starts, axis=1) <= 1 / 8
-    np.testing.assert_allclose(drawn_at[plots.BLUE], later[near])
-    assert near.any() and len(drawn_at[plots.ORANGE]) == 150
+    np.testing.assert_allclose(drawn_at[canvas.BLUE], later[near])
+    assert near.any() and len(drawn_at[canvas.ORANGE]) == 150
     assert axes.get_title().startswith("(0, 0): prior ")
     assert TITLE in title_of(figure) and "c = 5 steps" in title_of(figure)
 
 
 def test_data_outcomes_are_a_period_apart_or_at_the_episodes_end():
     episodes = logs(2)
-    starts, later = plots.data_outcomes(episodes, small_config())
+    starts, later = data_outcomes(episodes, small_config())
     achieved = episodes.achieved
     assert len(starts) == 6 * 20
     np.testing.assert_array_equal((starts[0], later[0]), (achieved[0], achieved[5]))
@@ -198,8 +202,8 @@ def test_data_outcomes_are_a_period_apart_or_at_the_episodes_end():
 def test_spread_positions_start_at_the_start_and_go_far():
     corners = np.repeat([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0]], 2, axis=0)
     episodes = make_episodes(corners, np.zeros((8, 1)) + 0.1, [8], (0, 1), action_low=-1, action_high=1)
-    np.testing.assert_allclose(plots.spread_positions(MAZE, episodes, 3), [(0, 0), (2, 2), (2, 0)])
-    assert len(plots.spread_positions(MAZE, episodes, 9)) == 4
+    np.testing.assert_allclose(spread_positions(MAZE, episodes, 3), [(0, 0), (2, 2), (2, 0)])
+    assert len(spread_positions(MAZE, episodes, 9)) == 4
 
 
 def test_figure_7_gives_its_numbers():

@@ -47,7 +47,9 @@ def logs(tmp_path: Path) -> Path:
 
 
 def final_state(run: runs.Run):
-    return jax.tree.leaves(run.restore()[1])
+    restored = run.restore()
+    assert restored is not None
+    return jax.tree.leaves(restored[1])
 
 
 def assert_bit_equal(first: runs.Run, second: runs.Run) -> None:
@@ -183,6 +185,12 @@ def test_data_of_another_robot_is_refused(tmp_path):
         file["terminals"] = np.zeros(20, bool)
     with pytest.raises(GuiderError, match="holds states of 29 and actions of 8 numbers; pointmaze-large"):
         guider.train("pointmaze-large", path, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_data_without_a_window_is_refused_before_anything_is_written(logs, tmp_path):
+    with pytest.raises(GuiderError, match="no episode holds a window of 60 steps"):
+        guider.train(data=logs, out=tmp_path / "run", **OWN | {"period_steps": 60})
     assert not (tmp_path / "run").exists()
 
 

@@ -131,6 +131,13 @@ def test_device_data_scales_actions_to_unit_bounds():
     np.testing.assert_allclose(data.actions[:2, 0], [-1.0, 1.0])
 
 
+def test_the_device_shares_the_memory_of_the_episodes(ragged):
+    data = device_data(ragged, 5, "clip", 0.0)
+    if data.observations.device.platform == "cpu":
+        assert data.observations.unsafe_buffer_pointer() == ragged.observations.ctypes.data
+    assert not ragged.observations.flags.writeable
+
+
 def test_equal_keys_give_equal_batches(ragged):
     data = device_data(ragged, 5, "clip", 0.0)
     first = sample_low(data, jax.random.key(5), 64, 5, 0.8, 0.1)

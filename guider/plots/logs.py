@@ -1,0 +1,110 @@
+"""A policy on logs, without a maze: what it proposes along episodes that training never saw."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from guider.episodes import Episodes
+from guider.plots import canvas
+from guider.plots.subgoals import prior_samples, proposals
+from guider.policy import Policy
+
+
+def subgoals_on_logs(logged: Episodes, held_out: Episodes, policy: Policy, title: str) -> Figure:
+    """Without a maze: subgoals proposed every c steps along held-out episodes, towards their last states.
+
+    A goal space of two entries is drawn as a plane, any other as its most varied entries against time.
+    """
+    if logged.spaces.goal_dim == 2:
+        return _subgoals_in_plane(logged, held_out, policy, title)
+    return _subgoals_over_time(logged, held_out, policy, title)
+
+
+def _subgoals_in_plane(logged: Episodes, held_out: Episodes, policy: Policy, title: str) -> Figure:
+    paths = _first_paths(held_out, 4)
+    period = policy.config.period_steps
+    columns = min(2, len(paths))
+    rows = -(-len(paths) // columns)
+    figure = canvas.new_figure(
+        f"{title}\nsubgoals every c = {period} steps along held-out episodes, towards their last states",
+        (5.5 * columns + 0.5, 4.5 * rows + 0.9),
+    )
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    spread = logged.achieved.std(axis=0)
+    line = LineCollection([])
+    for index, (axes, achieved) in enumerate(zip(panels, paths, strict=False)):
+        here = achieved[::period]
+        subgoals, _ = proposals(policy, here, achieved[-1])
+        shown = canvas.spaced(subgoals / spread, 0.2)
+        samples = prior_samples(policy, here[shown], 40).reshape(-1, 2)
+        canvas.logged_dots(axes, logged)
+        axes.plot(*samples.T, "o", color=canvas.ORANGE, alpha=0.5, markersize=2, markeredgewidth=0, zorder=2)
+        line = canvas.timed_path(axes, achieved, max(len(path) for path in paths))
+        canvas.numbered_stars(axes, subgoals[shown])
+        canvas.flag(axes, achieved[-1], policy.config.radius)
+        axes.set_title(f"held-out episode {index}, {len(achieved)} states", fontsize=9)
+        axes.set(xlabel=_entry_name(logged, 0), ylabel=_entry_name(logged, 1))
+        axes.label_outer()
+    for axes in panels[len(paths) :]:
+        axes.remove()
+    canvas.colour_bar(figure, line, list(panels[: len(paths)]), "step of the episode")
+    samples_handle = canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded")
+    canvas.legend(
+        figure,
+        [
+            canvas.logged_handle(),
+            canvas.star_handle("subgoals in order (thinned)"),
+            samples_handle,
+            canvas.flag_handle(),
+        ],
+    )
+    return figure
+
+
+def _subgoals_over_time(logged: Episodes, held_out: Episodes, policy: Policy, title: str) -> Figure:
+    paths = _first_paths(held_out, 3)
+    period = policy.config.period_steps
+    entries = np.sort(np.argsort(logged.achieved.std(axis=0))[::-1][:4])
+    figure = canvas.new_figure(
+        f"{title}\nsubgoals every c = {period} steps along held-out episodes, towards their last states",
+        (4.2 * len(paths), 2.2 * len(entries) + 0.9),
+    )
+    panels = figure.subplots(len(entries), len(paths), squeeze=False, sharex="col", sharey="row")
+    for column, achieved in enumerate(paths):
+        steps = np.arange(0, len(achieved), period)
+        subgoals, _ = proposals(policy, achieved[steps], achieved[-1])
+        samples = prior_samples(policy, achieved[steps], 20)
+        for axes, entry in zip(panels[:, column], entries, strict=True):
+            later = np.repeat(steps + period, samples.shape[1])
+            axes.plot(later, samples[..., entry].ravel(), "o", color=canvas.ORANGE, alpha=0.4, markersize=2.5)
+            axes.plot(achieved[:, entry], color=canvas.BLUE)
+            axes.plot(
+                steps + period, subgoals[:, entry], "*", color=canvas.RED, markersize=8, markeredgecolor=canvas.DARK
+            )
+            axes.axhline(achieved[-1, entry], color=canvas.GREEN, linestyle="--", linewidth=1)
+        panels[0, column].set_title(f"held-out episode {column}", fontsize=9)
+        panels[-1, column].set_xlabel("step of the episode")
+    for axes, entry in zip(panels[:, 0], entries, strict=True):
+        axes.set_ylabel(_entry_name(logged, int(entry)))
+    canvas.legend(
+        figure,
+        [
+            Line2D([], [], color=canvas.BLUE, label="logged"),
+            Line2D([], [], color=canvas.RED, marker="*", linestyle="", label="subgoal, where it is due"),
+            canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded"),
+            Line2D([], [], color=canvas.GREEN, linestyle="--", label="final goal"),
+        ],
+    )
+    return figure
+
+
+def _first_paths(episodes: Episodes, count: int) -> list[np.ndarray]:
+    """s^G of the first `count` episodes, [states, G] each."""
+    return np.split(episodes.achieved, episodes.starts[1:])[:count]
+
+
+def _entry_name(episodes: Episodes, entry: int) -> str:
+    return f"state entry {episodes.goal_indices[entry]}"

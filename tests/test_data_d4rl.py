@@ -1,0 +1,122 @@
+"""D4RL's antmaze and kitchen files, as they are found in the wild, against the Episodes they must become."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
+
+from guider.data import load
+from guider.data.d4rl import find_jumps
+from guider.errors import GuiderError
+
+
+@pytest.mark.parametrize("rows", [1000, 1001])
+def test_antmaze_episodes_end_at_timeouts(tmp_path, rows):
+    arrays = antmaze([rows] * 3)
+    episodes = load(write_hdf5(tmp_path / "a.hdf5", arrays), GOAL)
+    assert episodes.lengths.tolist() == [rows] * 3
+    np.testing.assert_array_equal(episodes.observations, arrays["observations"])
+    np.testing.assert_array_equal(episodes.goals, arrays["infos/goal"])
+    assert episodes.action_low.tolist() == [-1, -1]
+
+
+def test_antmaze_terminals_in_the_middle_do_not_split(tmp_path):
+    arrays = antmaze([200, 300])
+    arrays["terminals"][[50, 51, 52, 350]] = True
+    arrays["rewards"][[50, 51, 52, 350]] = 1
+    assert load(write_hdf5(tmp_path / "a.hdf5", arrays), GOAL).lengths.tolist() == [200, 300]
+
+
+def test_antmaze_jumps_split_where_timeouts_are_a_row_early(tmp_path):
+    arrays = antmaze([1001] * 4)
+    arrays["timeouts"] = np.roll(arrays["timeouts"], -1)
+    episodes = load(write_hdf5(tmp_path / "a.hdf5", arrays), GOAL)
+    assert episodes.lengths.tolist() == [1000] * 4  # the 1,001st state is cut off on both sides, and dropped
+    starts = np.arange(4) * 1001
+    np.testing.assert_array_equal(episodes.observations[episodes.starts], arrays["observations"][starts])
+
+
+@pytest.mark.parametrize("drop", [True, False])
+def test_antmaze_jumps_split_without_any_timeout(tmp_path, drop):
+    arrays = antmaze([1001] * 4)
+    arrays["timeouts"][:] = False
+    if drop:
+        del arrays["timeouts"]
+    assert load(write_hdf5(tmp_path / "a.hdf5", arrays), GOAL).lengths.tolist() == [1001] * 4
+
+
+def test_antmaze_saved_as_npz(tmp_path):
+    arrays = antmaze([30, 40])
+    arrays["terminals"][5] = True
+    assert load(write_npz(tmp_path / "a.npz", arrays), GOAL).lengths.tolist() == [30, 40]
+
+
+def test_goals_of_another_goal_space_are_left_out(tmp_path):
+    path = write_hdf5(tmp_path / "a.hdf5", antmaze([30, 40]))
+    assert load(path, GOAL).goals is not None
+    assert load(path, (0, 1, 2)).goals is None
+
+
+@pytest.mark.parametrize("goal_dim", [1, 2, 3])
+def test_noise_is_no_jump(goal_dim):
+    achieved = np.random.default_rng(0).normal(size=(200_000, goal_dim)).astype(np.float32)
+    assert not find_jumps(achieved, np.zeros(len(achieved), bool)).any()
+
+
+def test_sprints_pushes_and_standing_still_are_no_jumps():
+    still = np.zeros(2000)
+    sprint = np.cumsum(np.where(np.arange(2000) % 400 < 20, 0.5, 0.01))  # 50 times faster for 20 steps
+    push = 1e-7 * np.random.default_rng(0).normal(size=2000)  # lies there, trembling, is pushed now and then
+    for row in range(100, 2000, 300):
+        push[row:] += 0.02
+        push[row + 1 :] += 0.015
+    for track in (still, sprint, push):
+        achieved = np.stack([track, np.zeros(2000)], axis=1).astype(np.float32)
+        assert not find_jumps(achieved, np.zeros(2000, bool)).any()
+
+
+def test_jumps_are_found_among_short_episodes():
+    lengths = [12] * 50
+    achieved = walk(lengths)["observations"][:, :2]
+    found = find_jumps(achieved, np.zeros(len(achieved), bool))
+    assert not (found & ~ends(lengths)[:-1]).any()
+    assert found.sum() >= 47  # two starts drawn close together cannot be told from a step
+
+
+# Kitchen
+
+
+def test_kitchen_terminals_end_episodes_and_the_goal_half_is_the_goal(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "observations": rng.normal(size=(90, 60)).astype(np.float32),
+        "actions": rng.uniform(-1, 1, (90, 9)).astype(np.float32),
+        "terminals": ends([40, 50]),
+        "timeouts": ends([20, 70]),
+    }
+    path = write_hdf5(tmp_path / "k.hdf5", arrays)
+    indices = tuple(range(9, 30))
+    episodes = load(path, indices)
+    assert episodes.lengths.tolist() == [20, 20, 50]
+    np.testing.assert_array_equal(episodes.observations, arrays["observations"][:, :30])
+    np.testing.assert_array_equal(episodes.goals, arrays["observations"][:, 39:])
+    assert load(path, indices, format="d4rl").observations.shape == (90, 60)
+    with pytest.raises(GuiderError, match=r"must lie in 0\.\.29"):
+        load(path, (30,))
+
+
+def test_kitchen_of_gymnasium_robotics_keeps_its_59_numbers(tmp_path):
+    arrays = walk([30, 30], state_dim=59, action_dim=9) | {"terminals": ends([30, 30])}
+    arrays["observations"][10:30, 20] += 0.7  # a switch that snaps over
+    episodes = load(write_hdf5(tmp_path / "k.hdf5", arrays), range(18, 39))
+    assert episodes.observations.shape[1] == 59
+    assert episodes.lengths.tolist() == [30, 30]
+    assert episodes.goals is None
+
+
+def test_kitchen_format_can_be_asked_for(tmp_path):
+    arrays = antmaze([20, 30])
+    arrays["terminals"][10] = True
+    path = write_hdf5(tmp_path / "a.hdf5", arrays)
+    assert load(path, GOAL, format="d4rl-kitchen").lengths.tolist() == [11, 9, 30]
