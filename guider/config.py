@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import difflib
+import json
 import types
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -14,8 +15,8 @@ C = TypeVar("C")
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """Nested plain values, fit for JSON."""
-    return dataclasses.asdict(config)
+    """Nested plain values, as JSON gives them back."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
 def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config") -> C:

@@ -118,9 +118,9 @@ class Episodes:
         )
 
     def split(self, held_out: float) -> tuple[Episodes, Episodes]:
-        """(training, held-out) episodes; the same `held_out` fraction always holds out the same episodes."""
+        """(training, held-out) episodes; the same `held_out` fraction, above 0, always holds out the same, one or more."""
         count = len(self.starts)
-        n_held = round(held_out * count)
+        n_held = max(1, round(held_out * count))
         if not 0 < n_held < count:
             raise GuiderError(
                 f"{self.source}: cannot hold out {held_out:.0%} of {count} episodes; "

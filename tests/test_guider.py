@@ -212,8 +212,10 @@ def test_final_goal_is_substituted_only_within_reach():
 
 
 def test_acting_is_batched_row_by_row():
-    episodes = make_ragged()
-    policy = policy_of(tiny(guider_config("fast", 0.5, 1.0, 5)), episodes)
+    episodes, config = make_ragged(), tiny(guider_config("fast", 0.5, 1.0, 5))
+    _, scale = method.prepare(config, episodes)
+    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
     observations, goals = jnp.asarray(episodes.observations[:6]), jnp.ones((6, 2))
     together, _ = act(policy, observations, goals, initial_state(policy, 6), jnp.ones(6, bool))
     for row in range(6):
@@ -241,7 +243,8 @@ def test_guider_learns_to_cross_a_corridor_longer_than_its_episodes_go():
         guider_config("fast", radius=0.5, reach_radius=1.0, period_steps=5),
         {
             "latent.updates": "1500",
-            "high.updates": "1500",
+            "high.updates": "3000",
+            "high.target_rate": "0.02",
             "low.updates": "1500",
             "latent.latent_dim": "1",
             "latent.hidden": "(32, 32)",

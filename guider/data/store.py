@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -122,15 +122,19 @@ def open_store(path: Path) -> Iterator[Store]:
     is_npz = head[:2] == b"PK"
     if not is_npz and not h5py.is_hdf5(path):
         raise GuiderError(f"{path}: neither an HDF5 file nor an npz archive")
-    try:
-        file = np.load(path, allow_pickle=False) if is_npz else h5py.File(path, "r")
-    except _DAMAGED as error:
-        raise GuiderError(f"{path}: the file is damaged or cut off ({error})") from error
-    with file:
-        if isinstance(file, h5py.File):
-            yield Store(str(path), "HDF5", _hdf5_keys(file), file)
-        else:
-            yield Store(str(path), "npz", tuple(file.files), file)
+    with ExitStack() as opened:
+        try:
+            if is_npz:
+                # np.load leaves a file it opened itself open where the archive is damaged
+                raw = opened.enter_context(path.open("rb"))
+                file = opened.enter_context(np.load(raw, allow_pickle=False))
+                store = Store(str(path), "npz", tuple(file.files), file)
+            else:
+                file = opened.enter_context(h5py.File(path, "r"))
+                store = Store(str(path), "HDF5", _hdf5_keys(file), file)
+        except _DAMAGED as error:
+            raise GuiderError(f"{path}: the file is damaged or cut off ({error})") from error
+        yield store
 
 
 def _hdf5_keys(file: h5py.File) -> tuple[str, ...]:
