@@ -118,7 +118,7 @@ class Episodes:
         )
 
     def split(self, held_out: float) -> tuple[Episodes, Episodes]:
-        """(training, held-out) episodes; the same `held_out` fraction, above 0, always holds out the same, one or more."""
+        """(training, held-out) episodes; the same fraction always holds out the same episodes, and at least one."""
         count = len(self.starts)
         n_held = max(1, round(held_out * count))
         if not 0 < n_held < count:
