@@ -1,4 +1,4 @@
-"""What the command line does, as Python functions: train, resume, evaluate, load."""
+"""What the command line does, as Python functions: train, resume, load, evaluate, plot."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.heldout import held_out_scores
+from guider.methods import METHODS
 from guider.policy import Agent, Policy
 from guider.presets import Preset, departures, guider_config
-from guider.runs import Run, RunSpec
+from guider.runs import Pace, Run, RunSpec
 from guider.tasks import Task, find_task
 from guider.training import Chunk
 
+DEFAULT_PACE = Pace()
 TUNING_SEED = 1_000_000
 """Evaluation episodes during training use seeds from here on, those of `evaluate` start at 0: choices made
 while watching curves never saw the episodes of the score."""
@@ -44,7 +46,7 @@ def train(
     held_out: float | None = None,
     evaluate_every: int = 0,
     on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
-    **pace: Any,
+    pace: Pace = DEFAULT_PACE,
 ) -> Run:
     """Train on a task's data or on your own, and return the finished run.
 
@@ -57,11 +59,16 @@ def train(
     seeds: how many agents to train at once (seeds 0, 1, ...), or their seeds.
     out: run directory, new; default runs/TASK-METHOD-PRESET.
     held_out: fraction of episodes kept for `evaluate`; default 0 for a task, 0.1 for your own data.
-    evaluate_every: evaluate all seeds after every so many updates of the last stage; 0 for never.
-    on_chunk: called between chunks of updates, e.g. to show progress; pace: see runs.start.
+    evaluate_every: evaluate all seeds at the first chunk's end after every so many updates of the last stage; 0 for
+        never.
+    on_chunk: called between chunks of updates, e.g. to show progress; pace: how often to report and save.
     """
-    if method != "guider":
-        raise GuiderError(f"there is no method {method!r}; there is guider")
+    seeds = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    _check_seeds(seeds)
+    if method not in METHODS:
+        raise GuiderError(f"there is no method {method!r}; there is {', '.join(METHODS)}")
+    if fixed := {"radius", "reach_radius", "period_steps"} & set(settings or {}):
+        raise GuiderError(f"{fixed.pop()} has an option of its own; leave it out of --set")
     if data is None:
         hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collect else "a file"
         raise GuiderError(f"no data given: name it with --data ({hint})")
@@ -75,6 +82,8 @@ def train(
         period_steps = benchmark.period_steps if benchmark else default
     config = override(guider_config(preset, radius, reach_radius, period_steps), settings or {})
     held_out = (0.0 if benchmark else 0.1) if held_out is None else held_out
+    if not 0 <= held_out < 1:
+        raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
     spec = RunSpec(
         task=task,
         data=episodes.source,
@@ -83,13 +92,18 @@ def train(
         held_out=held_out,
         method=method,
         preset=preset,
-        seeds=tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds),
+        seeds=seeds,
         config=config,
         spaces=episodes.spaces,
     )
-    directory = Path(out) if out else Path("runs") / f"{task or 'own'}-{method}-{preset}"
+    directory = Path(out) if out else default_directory(task, method, preset)
     callback = _with_evaluation(directory, spec, evaluate_every, on_chunk)
-    return runs.start(directory, spec, episodes, callback, **pace)
+    return runs.start(directory, spec, episodes, callback, pace)
+
+
+def default_directory(task: str | None, method: str, preset: str) -> Path:
+    """Where a run goes if nobody says otherwise."""
+    return Path("runs") / f"{task or 'own'}-{method}-{preset}"
 
 
 def resume(
@@ -98,7 +112,7 @@ def resume(
     *,
     evaluate_every: int = 0,
     on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
-    **pace: Any,
+    pace: Pace = DEFAULT_PACE,
 ) -> Run:
     """Continue an interrupted run to its end, bit-equal to one never interrupted.
 
@@ -106,7 +120,7 @@ def resume(
     """
     opened = runs.open_run(run)
     callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
-    runs.resume(opened, _same_data(opened, data), callback, **pace)
+    runs.resume(opened, _same_data(opened, data), callback, pace)
     return opened
 
 
@@ -130,6 +144,8 @@ def evaluate(
     On one's own data: the episodes that training never saw (see guider.heldout).
     Returns the score with its protocol: environment, data, preset and its departures, seeds, interval.
     """
+    if episodes < 1 or first_seed < 0:
+        raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {episodes} and {first_seed}")
     opened = run if isinstance(run, Run) else runs.open_run(run)
     spec = opened.spec
     policies = opened.policies()
@@ -137,7 +153,9 @@ def evaluate(
         "task": spec.task,
         "method": spec.method,
         "preset": spec.preset,
-        "departures": departures(spec.config),
+        "departures": _departures(spec),
+        "period_steps": spec.config.period_steps,
+        "reach_radius": spec.config.reach_radius,
         "data": spec.data,
         "fingerprint": spec.fingerprint,
         "training_seeds": list(spec.seeds),
@@ -156,7 +174,6 @@ def evaluate(
         }
     else:
         task = find_task(spec.task)
-        total = len(policies) * episodes * 1.0
 
         def outcome(index: int, policy: Policy) -> Rollouts:
             return rollout(
@@ -164,7 +181,7 @@ def evaluate(
                 task,
                 episodes,
                 first_seed + index * episodes,
-                on_steps=lambda done, of: on_steps(int((index + done / of) * episodes), int(total)),
+                on_steps=lambda done, of: on_steps(index * of + done, len(policies) * of),
             )
 
         outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
@@ -192,6 +209,19 @@ def plot(
     episodes = _same_data(opened, data)
     chosen = _seed_index(opened, seed)
     return draw_run(opened, find_task(spec.task) if spec.task else None, episodes, spec.seeds[chosen], first_seed)
+
+
+def _departures(spec: RunSpec) -> dict[str, Any]:
+    """Where a run's settings depart from `paper` on its task; for one's own data radii and period are its own."""
+    task, config = (None if spec.task is None else find_task(spec.task)), spec.config
+    if task is None:
+        return departures(config, config.radius, config.reach_radius, config.period_steps)
+    return departures(config, task.radius, task.reach_radius, task.period_steps)
+
+
+def _check_seeds(seeds: tuple[int, ...]) -> None:
+    if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0 or max(seeds) >= 2**32:
+        raise GuiderError(f"seeds must be one or more distinct numbers from 0 to 2^32 - 1, got {seeds}")
 
 
 def _seed_index(run: Run, seed: int | None) -> int:
@@ -234,7 +264,7 @@ def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str,
         "episodes_per_seed": count,
         "episode_seeds": [first_seed, first_seed + success.size - 1],
         "success": float(rates.mean()),
-        "success_std_over_seeds": float(rates.std()),
+        "success_std_over_seeds": float(rates.std()),  # of these seeds, ddof 0
         "interval_95": [round(100 * bound, 1) for bound in bootstrap_interval(success)],
         "per_seed": per_seed,
         "paper_score": task.paper_score,
@@ -245,8 +275,10 @@ def _with_evaluation(
     directory: Path, spec: RunSpec, every: int, on_chunk: Callable[[Chunk, Any], None]
 ) -> Callable[[Chunk, Any], None]:
     """on_chunk, and every so many updates of the last stage an evaluation on a copy of the state."""
-    if not every or spec.task is None:
+    if not every:
         return on_chunk
+    if spec.task is None or every < 0:
+        raise GuiderError("--evaluate-every takes a number of updates above 0, and needs a task to evaluate on")
     task = find_task(spec.task)
     stages = Run(directory, spec).stages
     episodes = 20
@@ -254,9 +286,8 @@ def _with_evaluation(
     def callback(chunk: Chunk, state: Any) -> None:
         on_chunk(chunk, state)
         update = chunk.position.update
-        if chunk.stage is not stages[-1] and chunk.stage.name != stages[-1].name:
-            return
-        if update % every == 0 or update == chunk.stage.updates:
+        crossed = update // every > (update - chunk.updates) // every or update == chunk.stage.updates
+        if chunk.position.stage == len(stages) - 1 and crossed:
             outcomes = [rollout(policy, task, episodes, TUNING_SEED) for policy in runs.policies(spec, state)]
             line = {
                 "stage": chunk.stage.name,
@@ -281,7 +312,7 @@ def _goal(
     if task is not None:
         if goal_indices is not None or radius is not None:
             raise GuiderError(f"{task.name} fixes its goal entries and radius; leave --goal-indices and --radius out")
-        return task.goal_indices, task.radius, reach_radius or task.reach_radius
+        return task.goal_indices, task.radius, task.reach_radius if reach_radius is None else reach_radius
     if isinstance(data, Episodes) and goal_indices is None:
         goal_indices = data.goal_indices
     if goal_indices is None or radius is None:
@@ -289,7 +320,7 @@ def _goal(
             "without a task name, say which state entries are the goal (--goal-indices 0 1) "
             "and how near counts as met (--radius 0.5)"
         )
-    return goal_indices, radius, reach_radius or 2 * radius
+    return goal_indices, radius, 2 * radius if reach_radius is None else reach_radius
 
 
 def _episodes(data: str | Path | Episodes, goal_indices: Sequence[int], format: str | None) -> Episodes:

@@ -68,16 +68,19 @@ def train(
         log_to: Also send metrics to TensorBoard (into the run) or Weights & Biases; extras of the package.
         as_json: Print one JSON document instead of text.
     """
-    from guider import api, logs
+    from guider import api, sinks
 
-    if resume is not None and (task or out or set or goal_indices or radius):
+    settings = (task, out, set, goal_indices, radius, reach_radius, period_steps, held_out, format, first_seed)
+    if resume is not None and (any(settings) or seeds != 1 or preset != "fast"):
         raise GuiderError("--resume takes all settings from the run; give only --data if the data has moved")
+    if seeds < 1:
+        raise GuiderError(f"--seeds must be 1 or more, got {seeds}")
     with _stage_bars() as show:
         if resume is not None:
-            sink = logs.sink(log_to, resume)
+            sink = sinks.sink(log_to, resume)
             run = api.resume(resume, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink))
         else:
-            directory = out or Path("runs") / f"{task or 'own'}-{method}-{preset}"
+            directory = out or api.default_directory(task, method, preset)
             run = api.train(
                 task,
                 data,
@@ -93,7 +96,7 @@ def train(
                 out=directory,
                 held_out=held_out,
                 evaluate_every=evaluate_every,
-                on_chunk=_both(show, logs.sink(log_to, directory)),
+                on_chunk=_both(show, sinks.sink(log_to, directory)),
             )
     text = f"trained {run.directory}; next: `guider evaluate {run.directory}` and `guider plot {run.directory}`"
     _answer({"run": str(run.directory), "seeds": list(run.spec.seeds)}, text, as_json)
@@ -208,8 +211,8 @@ def collect(task: TaskName, out: Path, steps: int = 200_000, seed: int = 0, as_j
         raise GuiderError(f"{task} cannot be collected here; train it on D4RL's file for it, with --data FILE")
     if out.exists():
         raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
-    if steps < 2:
-        raise GuiderError(f"--steps must be at least 2, got {steps}")
+    if steps < 2 or seed < 0:
+        raise GuiderError(f"--steps must be at least 2 and --seed at least 0, got {steps} and {seed}")
     out.parent.mkdir(parents=True, exist_ok=True)
     with _bar("recording", "steps") as show:
         found.collect(steps, seed, out, show)
@@ -239,8 +242,12 @@ def main(arguments: list[str] | None = None) -> int:
     except GuiderError as error:
         print(f"guider: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"guider: {where}{error.strerror or error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
-        print("guider: interrupted; a training run goes on with `guider train --resume RUN`", file=sys.stderr)
+        print("guider: interrupted (a run being trained goes on with `guider train --resume`)", file=sys.stderr)
         return 130
     return 0
 
@@ -309,7 +316,7 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         for name in names:
             table.add_column(name.replace("_", " "))
         for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
-            table.add_row(str(seed), *(f"{scores[name]:.3f}" for name in names))
+            table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
         return table
     for name in ("success %", "95 % interval", "median steps"):
         table.add_column(name, no_wrap=True)

@@ -22,6 +22,8 @@ def to_dict(config: Any) -> dict[str, Any]:
 def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config") -> C:
     """The inverse of `to_dict`. Raises GuiderError on unknown or missing names and on values of a wrong type."""
     hints = get_type_hints(config_type)
+    if not isinstance(values, dict):
+        raise GuiderError(f"{where} must hold settings by name, got {values!r}")
     for name in values:
         if name not in hints:
             raise GuiderError(f"{where} has no setting {name!r}{_near(name, hints)}")
@@ -69,8 +71,22 @@ def check_fraction(config: Any, *names: str) -> None:
 def check_positive(config: Any, *names: str) -> None:
     """Raise GuiderError unless the named settings are above 0."""
     for name in names:
-        if not getattr(config, name) > 0:
-            raise GuiderError(f"{name} must be above 0, got {getattr(config, name)}")
+        if not 0 < getattr(config, name) < float("inf"):
+            raise GuiderError(f"{name} must be above 0 and finite, got {getattr(config, name)}")
+
+
+def check_networks(config: Any) -> None:
+    """Raise GuiderError unless there is a hidden layer, every one has a unit, and there is an update to make."""
+    if not config.hidden or min(config.hidden) < 1:
+        raise GuiderError(f"hidden must name one or more layers of one or more units, got {config.hidden}")
+    check_positive(config, "updates", "batch_size", "learning_rate")
+
+
+def check_not_negative(config: Any, *names: str) -> None:
+    """Raise GuiderError if one of the named settings is below 0."""
+    for name in names:
+        if getattr(config, name) < 0:
+            raise GuiderError(f"{name} must not be below 0, got {getattr(config, name)}")
 
 
 def check_shares(config: Any) -> None:

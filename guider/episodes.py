@@ -119,6 +119,8 @@ class Episodes:
 
     def split(self, held_out: float) -> tuple[Episodes, Episodes]:
         """(training, held-out) episodes; the same fraction always holds out the same episodes, and at least one."""
+        if not 0 < held_out < 1:
+            raise GuiderError(f"the held-out fraction must lie between 0 and 1, got {held_out}")
         count = len(self.starts)
         n_held = max(1, round(held_out * count))
         if not 0 < n_held < count:

@@ -6,19 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.episodes import Episodes
+from guider.errors import GuiderError
 from guider.methods import goal_policy
 from guider.methods.guider import high_inputs, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.subgoal_policy import propose
 from guider.networks import twin_values
 from guider.policy import Policy
+from guider.samplers import window_starts
 
 MAX_ROWS = 20_000
 INSIDE_95 = 1.959964
 
 
-def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float]:
-    """How the three parts of a Guider policy fare on held-out episodes. Rows are c-step windows, at most 20,000.
+def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | None]:
+    """How the three parts of a Guider policy fare on held-out episodes. Rows are c-step windows such as
+    the run learned from, at most 20,000.
 
     action_error:         mean squared error of the low level's action, bounds scaled to [-1, 1], when asked for
                           the state c steps on; `action_spread` is that of always answering with the mean action
@@ -32,7 +35,9 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float]:
     """
     config, state = policy.config, policy.state
     last = episodes.last_rows
-    rows = np.flatnonzero(np.arange(len(last)) < last)
+    rows = window_starts(episodes, config.period_steps, config.boundary, config.minimum_move)
+    if len(rows) == 0:
+        raise GuiderError(f"no held-out episode holds a window of {config.period_steps} steps to score")
     rng = np.random.default_rng(0)
     if len(rows) > MAX_ROWS:
         rows = np.sort(rng.choice(rows, MAX_ROWS, replace=False))
@@ -75,12 +80,12 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float]:
     }
 
 
-def _mean_rank_correlation(values: np.ndarray, episode: np.ndarray) -> float:
-    """Mean over episodes of Spearman's correlation between row order and value; episodes of < 3 rows left out."""
+def _mean_rank_correlation(values: np.ndarray, episode: np.ndarray) -> float | None:
+    """Mean over episodes of Spearman's correlation of row order and value; those of < 3 rows left out, None if all are."""
     correlations = []
     for label in np.unique(episode):
         chosen = values[episode == label]
         if len(chosen) >= 3 and np.ptp(chosen) > 0:
             ranks = np.argsort(np.argsort(chosen))
             correlations.append(np.corrcoef(np.arange(len(chosen)), ranks)[0, 1])
-    return float(np.mean(correlations)) if correlations else float("nan")
+    return float(np.mean(correlations)) if correlations else None

@@ -63,9 +63,6 @@ def guider_config(preset: Preset, radius: float, reach_radius: float, period_ste
     )
 
 
-def departures(config: GuiderConfig) -> dict[str, Any]:
-    """Settings in which a config departs from the preset `paper` for the same task."""
-    return differences(
-        config,
-        guider_config("paper", config.radius, config.reach_radius, config.period_steps),
-    )
+def departures(config: GuiderConfig, radius: float, reach_radius: float, period_steps: int) -> dict[str, Any]:
+    """Settings in which a config departs from the preset `paper` for a task of these radii and period."""
+    return differences(config, guider_config("paper", radius, reach_radius, period_steps))

@@ -58,6 +58,17 @@ class RunSpec:
 
 
 @dataclass(frozen=True)
+class Pace:
+    """How often training reports and saves; the result does not depend on it.
+
+    chunk_updates: updates between reports; checkpoint_seconds: least time between checkpoints.
+    """
+
+    chunk_updates: int = 500
+    checkpoint_seconds: float = 60.0
+
+
+@dataclass(frozen=True)
 class Run:
     """A run directory and its spec."""
 
@@ -109,9 +120,13 @@ def policies(spec: RunSpec, state: Any) -> list[Policy]:
 
 
 def start(
-    directory: Path, spec: RunSpec, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], **pace: Any
+    directory: Path,
+    spec: RunSpec,
+    episodes: Episodes,
+    on_chunk: Callable[[Chunk, Any], None],
+    pace: Pace,
 ) -> Run:
-    """Train a new run from the beginning. Raises GuiderError if `directory` is taken. See `_train` for pace."""
+    """Train a new run from the beginning. Raises GuiderError if `directory` is taken."""
     if directory.exists():
         raise GuiderError(
             f"{directory} exists already and is never overwritten; choose another --out, "
@@ -119,18 +134,21 @@ def start(
         )
     run = Run(directory, spec)
     prepared = _prepare(spec, episodes)
-    directory.mkdir(parents=True)
-    write_json(directory / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
-    _train(run, prepared, None, on_chunk, **pace)
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    temporary = directory.with_name(f".{directory.name}.{os.getpid()}")
+    temporary.mkdir()
+    write_json(temporary / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
+    temporary.rename(directory)
+    _train(run, prepared, None, on_chunk, pace)
     return run
 
 
-def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], **pace: Any) -> None:
+def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], pace: Pace) -> None:
     """Continue a run from its newest checkpoint, or from the beginning where it has none yet.
 
     The result is bit-equal to that of an uninterrupted run, if `episodes` are those of the spec's fingerprint.
     """
-    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, **pace)
+    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, pace)
 
 
 def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:
@@ -144,10 +162,9 @@ def _train(
     prepared: tuple[Any, Any],
     restored: tuple[Position, Any] | None,
     on_chunk: Callable[[Chunk, Any], None],
-    chunk_updates: int = 500,
-    checkpoint_seconds: float = 60.0,
+    pace: Pace,
 ) -> None:
-    """Run the stages, logging every chunk and checkpointing every `checkpoint_seconds` and at each stage's end."""
+    """Run the stages, logging every chunk; checkpoints come as `pace` says and at each stage's end."""
     method, spec = METHODS[run.spec.method], run.spec
     data, scale = prepared
     if restored is None:
@@ -164,6 +181,7 @@ def _train(
     def record(chunk: Chunk, state: Any) -> None:
         nonlocal saved_at
         total = total_updates(stages, chunk.position)
+        _check_finite(run, chunk)
         line = {
             "stage": chunk.stage.name,
             "update": chunk.position.update,
@@ -174,11 +192,22 @@ def _train(
         append_line(run.directory / "metrics.jsonl", line)
         on_chunk(chunk, state)
         stage_ends = chunk.position.update == chunk.stage.updates
-        if stage_ends or time.monotonic() - saved_at > checkpoint_seconds:
+        if stage_ends or time.monotonic() - saved_at > pace.checkpoint_seconds:
             checkpoint.save(run.directory / "checkpoints", total, chunk.position, state)
             saved_at = time.monotonic()
 
-    train(stages, state, data, spec.seeds, start=begin, chunk_updates=chunk_updates, on_chunk=record)
+    train(stages, state, data, spec.seeds, start=begin, chunk_updates=pace.chunk_updates, on_chunk=record)
+
+
+def _check_finite(run: Run, chunk: Chunk) -> None:
+    """Raise GuiderError once a seed has diverged; the checkpoint before stays the newest."""
+    for name, values in chunk.metrics.items():
+        diverged = np.flatnonzero(~np.isfinite(np.asarray(values)))
+        if len(diverged):
+            raise GuiderError(
+                f"{run.directory}: {name} of seed {run.spec.seeds[diverged[0]]} is no longer finite before update "
+                f"{chunk.position.update} of the {chunk.stage.name} stage; lower its learning rate or check the data"
+            )
 
 
 def open_run(directory: str | Path) -> Run:
@@ -195,7 +224,7 @@ def open_run(directory: str | Path) -> Run:
         raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
     values.pop("made_with", None)
     method = values.get("method")
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise GuiderError(f"{path} names the method {method!r}; there are {', '.join(METHODS)}")
     config = from_dict(METHODS[method].config_type, values.pop("config", {}), f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))

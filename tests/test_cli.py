@@ -78,6 +78,11 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
         (["data", "inspect", "nowhere.npz"], "nowhere.npz"),
         (["collect", "antmaze-large-diverse", "--out", "x.hdf5"], "cannot be collected here"),
         (["collect", "nothing", "--out", "x.hdf5"], "no task is called 'nothing'"),
+        (["collect", "pointmaze-umaze", "--seed", "-1", "--out", "x.hdf5"], "--seed at least 0"),
+        (["evaluate", "nowhere", "--episodes", "0"], "--episodes must be 1 or more"),
+        (["train", "pointmaze-umaze", "--data", "x", "--seeds", "0"], "--seeds must be 1 or more"),
+        (["train", "pointmaze-umaze", "--data", "x", "--set", "radius=3"], "radius has an option of its own"),
+        (["train", "--resume", "nowhere", "--seeds", "2"], "--resume takes all settings from the run"),
     ],
 )
 def test_bad_input_gets_one_line_and_a_status(arguments, message, capsys, tmp_path, monkeypatch):
@@ -95,6 +100,9 @@ def test_foreign_and_existing_files_are_refused(recorded, tmp_path, capsys):
     assert "neither" in capsys.readouterr().err
     assert main(["collect", "pointmaze-umaze", "--steps", "60", "--out", str(recorded)]) == 1
     assert "never overwritten" in capsys.readouterr().err
+    inside_a_file = ["train", "pointmaze-umaze", "--data", str(recorded), "--out", str(foreign / "run"), *TINY]
+    assert main(inside_a_file) == 1
+    assert "notes.txt" in capsys.readouterr().err
     run = tmp_path / "run"
     run.mkdir()
     assert main(["train", "pointmaze-umaze", "--data", str(recorded), "--out", str(run), *TINY]) == 1

@@ -74,12 +74,13 @@ def test_every_switch_trains_and_acts(switches, preset):
 
 def test_presets_are_what_they_say():
     paper = guider_config("paper", 0.5, 1.0, 50)
-    assert departures(paper) == {}
+    assert departures(paper, 0.5, 1.0, 50) == {}
+    assert departures(replace(paper, period_steps=25), 0.5, 1.0, 50) == {"period_steps": 25}
     assert paper == GuiderConfig()
     assert (paper.latent.updates, paper.high.updates, paper.low.updates) == (500_000, 200_000, 500_000)
     fast = guider_config("fast", 0.5, 1.0, 50)
-    assert departures(fast) == differences(fast, paper)
-    assert "normalise" in departures(fast)
+    assert departures(fast, 0.5, 1.0, 50) == differences(fast, paper)
+    assert "normalise" in departures(fast, 0.5, 1.0, 50)
 
 
 def test_configs_survive_json_and_name_their_faults():
@@ -92,6 +93,10 @@ def test_configs_survive_json_and_name_their_faults():
         ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
         ("radius", "-1"): "radius must be above 0",
         ("hihg.samples", "1"): "did you mean high.samples",
+        ("low.hidden", "()"): "hidden must name one or more layers",
+        ("high.discount", "1"): "cap_targets needs a discount below 1",
+        ("low.updates", "0"): "updates must be above 0",
+        ("normalise", "false"): "position_waves needs normalise",
     }.items():
         with pytest.raises(GuiderError, match=message):
             override(config, dict([change]))
@@ -161,6 +166,22 @@ def test_fused_cql_pass_is_the_separate_one():
     )
     np.testing.assert_allclose(metrics["td_error"], plain_metrics["td_error"], rtol=1e-5)
     np.testing.assert_allclose(total, plain + 2 * metrics["conservative_gap"], rtol=1e-5)
+
+
+def test_actor_loss_by_hand():
+    """Eq. 4: with a critic that is zero everywhere, what is left is alpha * KL, and alpha moves towards the target."""
+    config = subgoal_policy.SubgoalPolicyConfig(hidden=(8,), target_divergence=1.0)
+    params = subgoal_policy.init(jax.random.key(0), config, 4, 2).params
+    zeros = jax.tree.map(jnp.zeros_like, params)  # policy N(0, 1), Q = 0, alpha = 1
+    prior = Gaussian(jnp.full((3, 2), 2.0), jnp.zeros((3, 2)))
+    batch = subgoal_policy.Transitions(jnp.zeros((3, 4)), jnp.zeros((3, 2)), -jnp.ones(3), jnp.zeros((3, 4)), prior)
+    loss, metrics = subgoal_policy._actor_loss(config, zeros, batch, jax.random.key(1))
+    assert float(metrics["divergence"]) == pytest.approx(2.0)  # (2 - 0)^2 / 2 nats in each dimension
+    assert float(loss) == pytest.approx(2.0)
+    slope = jax.grad(
+        lambda a: subgoal_policy._actor_loss(config, zeros._replace(log_alpha=a), batch, jax.random.key(1))[0]
+    )
+    assert float(slope(jnp.zeros(()))) == pytest.approx(-1.0)  # target - KL: alpha must grow
 
 
 def constant_policy(**acting) -> Policy:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import h5py
 import jax
@@ -32,7 +33,7 @@ SETTINGS = {
     "high.batch_size": "16",
     "low.batch_size": "16",
 }
-OWN = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": SETTINGS}
+OWN: dict[str, Any] = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": SETTINGS}
 
 
 def write_plain(path: Path, seed: int = 0) -> Path:
@@ -73,19 +74,20 @@ def test_a_killed_run_resumes_to_the_bit(logs, tmp_path):
     """SIGKILL in the middle of the last stage, then --resume; the same with a run never interrupted."""
     script = f"""
 import os, signal, guider
+from guider import runs
 from guider.training import Chunk
 def die(chunk, state):
     if chunk.stage.name == "goal policy" and chunk.position.update == 8:
         os.kill(os.getpid(), signal.SIGKILL)
 guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, seeds=2, on_chunk=die,
-             chunk_updates=2, checkpoint_seconds=0.0, **{OWN!r})
+             pace=runs.Pace(2, 0.0), **{OWN!r})
 """
     killed = subprocess.run([sys.executable, "-c", script], env=os.environ, capture_output=True, text=True)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     with pytest.raises(GuiderError, match=r"stopped after 6 of 12 updates of the goal policy stage.*--resume"):
         guider.load(tmp_path / "killed")
-    resumed = guider.resume(tmp_path / "killed", chunk_updates=5)
-    whole = guider.train(data=logs, out=tmp_path / "whole", seeds=2, chunk_updates=2, **OWN)
+    resumed = guider.resume(tmp_path / "killed", pace=runs.Pace(5))
+    whole = guider.train(data=logs, out=tmp_path / "whole", seeds=2, pace=runs.Pace(2), **OWN)
     assert_bit_equal(resumed, whole)
     totals = [line["total_updates"] for line in runs.read_lines(tmp_path / "killed" / "metrics.jsonl")]
     assert totals == sorted(set(totals)) and totals[-1] == 24
@@ -95,8 +97,8 @@ def test_a_run_killed_at_any_moment_resumes(logs, tmp_path):
     """Killed from outside, wherever it is: nothing half-written keeps it from resuming."""
     script = f"""
 import guider
-guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, chunk_updates=1, checkpoint_seconds=0.0,
-             **{OWN!r})
+from guider import runs
+guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, pace=runs.Pace(1, 0.0), **{OWN!r})
 """
     process = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
     metrics = tmp_path / "killed" / "metrics.jsonl"
@@ -192,6 +194,18 @@ def test_data_without_a_window_is_refused_before_anything_is_written(logs, tmp_p
     with pytest.raises(GuiderError, match="no episode holds a window of 60 steps"):
         guider.train(data=logs, out=tmp_path / "run", **OWN | {"period_steps": 60})
     assert not (tmp_path / "run").exists()
+
+
+def test_a_diverging_run_stops_and_says_so(logs, tmp_path):
+    settings = SETTINGS | {"low.learning_rate": "1e30"}
+    with pytest.raises(GuiderError, match=r"seed 0 is no longer finite before update \d+ of the goal policy stage"):
+        guider.train(data=logs, out=tmp_path / "run", pace=runs.Pace(1), **OWN | {"settings": settings})
+
+
+@pytest.mark.parametrize("seeds", [0, (), (1, 1), (-1,), (2**32,)])
+def test_seeds_are_checked(logs, tmp_path, seeds):
+    with pytest.raises(GuiderError, match="seeds must be one or more distinct numbers"):
+        guider.train(data=logs, out=tmp_path / "run", seeds=seeds, **OWN)
 
 
 def test_own_data_needs_a_goal(logs, tmp_path):

@@ -1,4 +1,4 @@
-"""Every method offers the same few pure functions; the engine, evaluation and command line use nothing else."""
+"""Every method offers the same few pure functions, which are all that training and acting use of it."""
 
 from __future__ import annotations
 

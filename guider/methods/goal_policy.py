@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
-from guider.config import check_fraction, check_positive, check_shares
+from guider.config import check_fraction, check_networks, check_not_negative, check_positive, check_shares
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Rate, adam_step, trail
 
@@ -48,7 +48,9 @@ class GoalPolicyConfig:
     """Show goals as displacements from s^G_t instead of positions (departure)."""
 
     def __post_init__(self) -> None:
-        check_positive(self, "batch_size", "learning_rate", "weight_ceiling", "temperature")
+        check_networks(self)
+        check_positive(self, "weight_ceiling", "temperature")
+        check_not_negative(self, "subgoal_slack_steps")
         check_fraction(self, "discount", "target_rate", "relabel_fraction", "random_goal_fraction")
         check_shares(self)
 

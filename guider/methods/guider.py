@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider import losses
-from guider.config import check_positive
+from guider.config import check_not_negative, check_positive
 from guider.episodes import Episodes, Spaces
+from guider.errors import GuiderError
 from guider.methods import goal_policy, latent_subgoals, scaling, subgoal_policy
 from guider.methods.goal_policy import GoalPolicyConfig, GoalPolicyState
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
@@ -46,8 +47,8 @@ class GuiderConfig:
     boundary: Boundary = "clip"
     """c-step windows that would leave their episode end at its last state (clip), or are not used (drop)."""
     minimum_move: float = 0.0
-    """Learn only from c-step windows that end further than this from their start (goal units), so that idle
-    stretches do not shape the prior (departure; 0 keeps all)."""
+    """Learn, at both levels, only where the next c steps end this far from their start or further (goal units), so
+    that idle stretches do not shape the prior (departure; 0 keeps all)."""
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     final_goal_substitution: bool = False
@@ -63,6 +64,9 @@ class GuiderConfig:
 
     def __post_init__(self) -> None:
         check_positive(self, "period_steps", "radius", "reach_radius")
+        check_not_negative(self, "minimum_move", "position_waves")
+        if self.position_waves and not self.normalise:
+            raise GuiderError("position_waves needs normalise: wavelengths are counted in spreads of the data")
 
 
 class GuiderState(NamedTuple):
@@ -225,7 +229,8 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
 def propose_subgoal(
     config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where to go next: the mean of pi_h and the subgoal it decodes to, (subgoal [..., G], latent [..., Z])."""
+    """Where to go next: (subgoal [..., G], latent [..., Z]), the latent being the mean of pi_h and the subgoal what it
+    decodes to, or the final goal where `final_goal_substitution` says so."""
     latent = subgoal_policy.propose(state.high.params, high_inputs(state.scale, achieved, goal)).mean
     subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
     if config.final_goal_substitution:
@@ -253,7 +258,7 @@ def act(
     """One step of the hierarchy, by the means of both policies.
 
     observation: [B, S]; goal: [B, G]; reset_mask: [B] bool, True where an episode begins.
-    Returns actions [B, A] in [-1, 1] and the new acting state. A new subgoal is drawn at resets, after c
+    Returns actions [B, A] in [-1, 1] and the new acting state. A new subgoal is chosen at resets, after c
     steps, and, with replan == "reached", once the current one lies within reach_radius.
     """
     achieved = observation[..., jnp.asarray(goal_indices)]

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
-from guider.config import check_fraction, check_positive
+from guider.config import check_fraction, check_networks, check_positive
+from guider.errors import GuiderError
 from guider.methods.scaling import Scale
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
 from guider.optimisers import adam_step
@@ -39,8 +40,11 @@ class LatentSubgoalsConfig:
     """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
 
     def __post_init__(self) -> None:
-        check_positive(self, "batch_size", "learning_rate", "latent_dim", "beta")
+        check_networks(self)
+        check_positive(self, "latent_dim", "beta")
         check_fraction(self, "kl_balance", "decoder_dropout")
+        if self.decoder_dropout == 1:
+            raise GuiderError("decoder_dropout must be below 1")
 
 
 class LatentParams(NamedTuple):

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import optax
 
 from guider import losses
-from guider.config import check_fraction, check_positive, check_shares
+from guider.config import check_fraction, check_networks, check_not_negative, check_positive, check_shares
+from guider.errors import GuiderError
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import adam_step, trail
 
@@ -56,9 +57,15 @@ class SubgoalPolicyConfig:
     """Keep Bellman targets within the values that rewards of -1 and 0 allow (departure)."""
 
     def __post_init__(self) -> None:
-        check_positive(self, "batch_size", "learning_rate", "samples", "target_divergence")
+        check_networks(self)
+        check_positive(self, "samples", "target_divergence")
+        check_not_negative(self, "goal_offset", "conservative_weight")
         check_fraction(self, "discount", "target_rate", "relabel_fraction", "random_goal_fraction", "expectile")
         check_shares(self)
+        if self.discount == 1 and self.cap_targets:
+            raise GuiderError("cap_targets needs a discount below 1")
+        if self.critic == "cql" and self.batch_size < 2:
+            raise GuiderError("batch_size must be 2 or more: CQL draws from the range of a batch")
 
 
 class Params(NamedTuple):
