@@ -81,7 +81,7 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
 
 
 def _mean_rank_correlation(values: np.ndarray, episode: np.ndarray) -> float | None:
-    """Mean over episodes of Spearman's correlation of row order and value; those of < 3 rows left out, None if all are."""
+    """Mean over episodes of Spearman's correlation of row order and value; those of < 3 rows are left out."""
     correlations = []
     for label in np.unique(episode):
         chosen = values[episode == label]

@@ -191,15 +191,16 @@ def test_data_of_another_robot_is_refused(tmp_path):
 
 
 def test_data_without_a_window_is_refused_before_anything_is_written(logs, tmp_path):
+    other: dict[str, Any] = OWN | {"period_steps": 60}
     with pytest.raises(GuiderError, match="no episode holds a window of 60 steps"):
-        guider.train(data=logs, out=tmp_path / "run", **OWN | {"period_steps": 60})
+        guider.train(data=logs, out=tmp_path / "run", **other)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_diverging_run_stops_and_says_so(logs, tmp_path):
-    settings = SETTINGS | {"low.learning_rate": "1e30"}
+    other: dict[str, Any] = OWN | {"settings": SETTINGS | {"low.learning_rate": "1e30"}}
     with pytest.raises(GuiderError, match=r"seed 0 is no longer finite before update \d+ of the goal policy stage"):
-        guider.train(data=logs, out=tmp_path / "run", pace=runs.Pace(1), **OWN | {"settings": settings})
+        guider.train(data=logs, out=tmp_path / "run", pace=runs.Pace(1), **other)
 
 
 @pytest.mark.parametrize("seeds", [0, (), (1, 1), (-1,), (2**32,)])
