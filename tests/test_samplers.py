@@ -133,7 +133,7 @@ def test_device_data_scales_actions_to_unit_bounds():
 
 def test_the_device_shares_the_memory_of_the_episodes(ragged):
     data = device_data(ragged, 5, "clip", 0.0)
-    if data.observations.device.platform == "cpu":
+    if jax.default_backend() == "cpu":
         assert data.observations.unsafe_buffer_pointer() == ragged.observations.ctypes.data
     assert not ragged.observations.flags.writeable
 
