@@ -1,3 +1,5 @@
+# pyright: reportMissingImports=false
+# (PyTorch is optional)
 """Guider's three updates in plain eager PyTorch: the baseline that `benchmarks.updates` compares with.
 
 The preset `paper` and nothing else, written the way the authors' code is: nn.Sequential networks, an Adam per

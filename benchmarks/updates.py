@@ -1,3 +1,5 @@
+# pyright: reportMissingImports=false
+# (PyTorch is optional)
 """Updates per second of the three stages, against plain eager PyTorch and between our own settings.
 
 python -m benchmarks.updates [--stage latent|high|low|switches] [--rounds N] [--seconds S] [--json]

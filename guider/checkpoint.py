@@ -48,6 +48,12 @@ def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree] | None
         try:
             restored = manager.restore(step, args=arguments)
         except (ValueError, KeyError, OSError) as error:
-            reason = str(error).strip().splitlines()[0]
-            raise GuiderError(f"{directory / str(step)} does not fit this run's config: {reason}") from error
+            raise _misfit(directory / str(step), str(error).strip().splitlines()[0]) from error
+    for stored, wanted in zip(jax.tree.leaves(restored["state"]), jax.tree.leaves(template), strict=True):
+        if stored.shape != wanted.shape:
+            raise _misfit(directory / str(step), f"it holds an array of shape {stored.shape}, not {wanted.shape}")
     return Position(**restored["position"]), restored["state"]
+
+
+def _misfit(path: Path, reason: str) -> GuiderError:
+    return GuiderError(f"{path} does not fit this run's config: {reason}")

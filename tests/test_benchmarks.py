@@ -1,3 +1,5 @@
+# pyright: reportMissingImports=false
+# (PyTorch is optional)
 """The PyTorch baseline is the same update: same parameters, batch and noise give the same losses."""
 
 from __future__ import annotations
