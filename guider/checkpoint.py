@@ -26,7 +26,7 @@ def save(directory: Path, total_updates: int, position: Position, state: PyTree)
     ocp, manager = _manager(directory)
     with manager:
         arguments = ocp.args.Composite(
-            state=ocp.args.StandardSave(jax.tree.map(np.asarray, state)),
+            state=ocp.args.StandardSave({name: np.asarray(leaf) for name, leaf in _named(state).items()}),
             position=ocp.args.JsonSave({"stage": position.stage, "update": position.update}),
         )
         manager.save(total_updates, args=arguments, force=True)
@@ -44,15 +44,29 @@ def restore(directory: Path, template: PyTree) -> tuple[Position, PyTree] | None
         step = manager.latest_step()
         if step is None:
             return None
-        arguments = ocp.args.Composite(state=ocp.args.StandardRestore(template), position=ocp.args.JsonRestore())
+        arguments = ocp.args.Composite(
+            state=ocp.args.StandardRestore(_named(template)), position=ocp.args.JsonRestore()
+        )
         try:
             restored = manager.restore(step, args=arguments)
         except (ValueError, KeyError, OSError) as error:
             raise _misfit(directory / str(step), str(error).strip().splitlines()[0]) from error
-    for stored, wanted in zip(jax.tree.leaves(restored["state"]), jax.tree.leaves(template), strict=True):
-        if stored.shape != wanted.shape:
-            raise _misfit(directory / str(step), f"it holds an array of shape {stored.shape}, not {wanted.shape}")
-    return Position(**restored["position"]), restored["state"]
+    stored = restored["state"]
+    for name, wanted in _named(template).items():
+        if stored[name].shape != wanted.shape:
+            raise _misfit(directory / str(step), f"{name} has shape {stored[name].shape}, not {wanted.shape}")
+    leaves, structure = jax.tree_util.tree_flatten_with_path(template)
+    filled = [stored.get(_name(path), np.zeros(leaf.shape, leaf.dtype)) for path, leaf in leaves]
+    return Position(**restored["position"]), jax.tree.unflatten(structure, filled)
+
+
+def _named(tree: PyTree) -> dict[str, Any]:
+    """Leaves by name; those without a single entry are left out, orbax does not take them."""
+    return {_name(path): leaf for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0] if leaf.size}
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 def _misfit(path: Path, reason: str) -> GuiderError:

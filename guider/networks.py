@@ -89,6 +89,7 @@ def twin_values(twins: Layers, context: jax.Array, actions: jax.Array) -> jax.Ar
         if actions.ndim == 3:
             from_context = from_context[:, None]
         hidden = jax.nn.relu(from_context + actions @ weight[context_dim:])
-        return mlp(tuple(rest), hidden)[..., 0]
+        rows = hidden.reshape(-1, hidden.shape[-1])  # one tall matrix product is faster than one per sample
+        return mlp(tuple(rest), rows).reshape(actions.shape[:-1])
 
     return jax.vmap(values)(twins)

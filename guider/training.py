@@ -15,11 +15,16 @@ PyTree = Any
 
 @dataclass(frozen=True)
 class Stage:
-    """`updates` calls of `update(state, data, key) -> (state, metrics)`, a pure function of one seed's state."""
+    """`updates` calls of `update(state, data, key) -> (part, metrics)`, a pure function of one seed's state.
+
+    part: the field of the state (a NamedTuple) that the stage trains and `update` returns; the others are only read,
+    and stay out of the compiled loop's carry, which would copy them at every update.
+    """
 
     name: str
+    part: str
     updates: int
-    update: Callable[[PyTree, PyTree, jax.Array], tuple[PyTree, dict[str, jax.Array]]]
+    update: Callable[[Any, PyTree, jax.Array], tuple[PyTree, dict[str, jax.Array]]]
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,13 @@ def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:
         zeros = jax.tree.map(lambda m: jnp.zeros(m.shape, m.dtype), metric_shapes)
 
         def body(update, carry):
-            state, sums = carry
-            state, metrics = stage.update(state, data, jax.random.fold_in(stage_key, update))
-            return state, jax.tree.map(jnp.add, sums, metrics)
+            part, sums = carry
+            whole = state._replace(**{stage.part: part})
+            part, metrics = stage.update(whole, data, jax.random.fold_in(stage_key, update))
+            return part, jax.tree.map(jnp.add, sums, metrics)
 
-        state, sums = jax.lax.fori_loop(first, last, body, (state, zeros))
-        return state, jax.tree.map(lambda s: s / (last - first), sums)
+        part, sums = jax.lax.fori_loop(first, last, body, (getattr(state, stage.part), zeros))
+        return state._replace(**{stage.part: part}), jax.tree.map(lambda s: s / (last - first), sums)
 
     return jax.jit(jax.vmap(one_seed, in_axes=(0, None, 0, None, None)), donate_argnums=0)
 

@@ -62,7 +62,8 @@ def test_every_switch_trains_and_acts(switches, preset):
     data, scale = method.prepare(config, episodes)
     state = fresh = method.init(config, episodes.spaces, scale, jax.random.key(0))
     for stage in method.stages(config):  # uncompiled: compiling each combination would take minutes
-        state, _ = stage.update(state, data, jax.random.key(1))
+        part, _ = stage.update(state, data, jax.random.key(1))
+        state = state._replace(**{stage.part: part})
     for part in ("latent", "high", "low"):
         moved = jax.tree.map(jnp.array_equal, getattr(state, part).params, getattr(fresh, part).params)
         assert not all(jax.tree.leaves(moved)), f"{part} did not learn"

@@ -15,11 +15,14 @@ import h5py
 import jax
 import numpy as np
 import pytest
-from conftest import make_ragged
+from conftest import make_ragged, tiny
 
 import guider
-from guider import runs
+from guider import checkpoint, runs
 from guider.errors import GuiderError
+from guider.methods import guider as method
+from guider.presets import guider_config
+from guider.training import Position
 
 SETTINGS = {
     "latent.updates": "6",
@@ -109,6 +112,20 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, pace=runs.Pac
     process.wait()
     resumed = guider.resume(tmp_path / "killed")
     assert_bit_equal(resumed, guider.train(data=logs, out=tmp_path / "whole", **OWN))
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_a_checkpoint_holds_the_whole_state(ragged, tmp_path, preset):
+    """Every leaf comes back as it was, in its place, those without entries too."""
+    config = tiny(guider_config(preset, 0.5, 1.0, 5))
+    _, scale = method.prepare(config, ragged)
+    state = method.init(config, ragged.spaces, scale, jax.random.key(0))
+    checkpoint.save(tmp_path / "checkpoints", 7, Position(1, 3), state)
+    restored = checkpoint.restore(tmp_path / "checkpoints", jax.eval_shape(lambda: state))
+    assert restored is not None and restored[0] == Position(1, 3)
+    assert jax.tree.structure(restored[1]) == jax.tree.structure(state)
+    for a, b in zip(jax.tree.leaves(restored[1]), jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_resuming_a_finished_run_changes_nothing(logs, tmp_path):

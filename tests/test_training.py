@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,24 +25,33 @@ def train_guider(config, episodes, seeds, **settings):
     return jax.device_get(train(method.stages(config), state, data, seeds, **settings))
 
 
+class Counts(NamedTuple):
+    count: jax.Array
+    other: jax.Array
+
+
+def counts(seeds: int) -> Counts:
+    return Counts(jnp.zeros(seeds), jnp.ones(seeds))
+
+
 def counting_stage(name="count", updates=7):
     def update(state, data, key):
-        return state + data, {"draw": jax.random.uniform(key)}
+        return state.count + data, {"draw": jax.random.uniform(key)}
 
-    return Stage(name, updates, update)
+    return Stage(name, "count", updates, update)
 
 
 def test_updates_metrics_and_positions_by_hand():
     seen = []
     state = train(
         [counting_stage("one"), counting_stage("two", 3)],
-        jnp.zeros(2),
+        counts(2),
         jnp.asarray(2.0),
         seeds=(4, 9),
         chunk_updates=5,
-        on_chunk=lambda chunk, state: seen.append((chunk, np.array(state))),
+        on_chunk=lambda chunk, state: seen.append((chunk, np.array(state.count))),
     )
-    assert state.tolist() == [20.0, 20.0]
+    assert state.count.tolist() == [20.0, 20.0] and state.other.tolist() == [1.0, 1.0]
     positions = [(c.stage.name, c.position.stage, c.position.update, c.updates) for c, _ in seen]
     assert positions == [("one", 0, 5, 5), ("one", 0, 7, 2), ("two", 1, 3, 3)]
     assert [s.tolist() for _, s in seen] == [[10, 10], [14, 14], [20, 20]]
@@ -53,13 +64,13 @@ def test_training_starts_where_it_is_told():
     seen = []
     state = train(
         [counting_stage("one"), counting_stage("two", 3)],
-        jnp.zeros(1),
+        counts(1),
         jnp.asarray(1.0),
         seeds=(0,),
         start=Position(0, 6),
         on_chunk=lambda chunk, state: seen.append(chunk.updates),
     )
-    assert state.tolist() == [4.0] and seen == [1, 3]
+    assert state.count.tolist() == [4.0] and seen == [1, 3]
 
 
 def test_chunking_never_matters_to_the_bit(ragged, fast_config):

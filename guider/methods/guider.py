@@ -169,8 +169,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
     def update_latent(state: GuiderState, data: Data, key: jax.Array):
         sample_key, update_key = jax.random.split(key)
         batch = sample_windows(data, sample_key, config.latent.batch_size, config.period_steps)
-        latent, metrics = latent_subgoals.update(config.latent, state.latent, state.scale, batch, update_key)
-        return state._replace(latent=latent), metrics
+        return latent_subgoals.update(config.latent, state.latent, state.scale, batch, update_key)
 
     def update_high(state: GuiderState, data: Data, key: jax.Array):
         sample_key, relabel_key, update_key = jax.random.split(key, 3)
@@ -185,8 +184,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             settings.random_goal_fraction,
         )
         transitions = relabel_high(config, state, batch, relabel_key)
-        high, metrics = subgoal_policy.update(settings, state.high, transitions, update_key)
-        return state._replace(high=high), metrics
+        return subgoal_policy.update(settings, state.high, transitions, update_key)
 
     def update_low(state: GuiderState, data: Data, key: jax.Array):
         sample_key, relabel_key = jax.random.split(key)
@@ -200,13 +198,12 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             settings.random_goal_fraction,
         )
         transitions = relabel_low(config, state, batch, relabel_key)
-        low, metrics = goal_policy.update(settings, state.low, transitions)
-        return state._replace(low=low), metrics
+        return goal_policy.update(settings, state.low, transitions)
 
     return (
-        Stage("latent subgoals", config.latent.updates, update_latent),
-        Stage("subgoal policy", config.high.updates, update_high),
-        Stage("goal policy", config.low.updates, update_low),
+        Stage("latent subgoals", "latent", config.latent.updates, update_latent),
+        Stage("subgoal policy", "high", config.high.updates, update_high),
+        Stage("goal policy", "low", config.low.updates, update_low),
     )
 
 
