@@ -26,7 +26,7 @@ def train_guider(config, episodes, seeds, **settings):
 
 
 class Counts(NamedTuple):
-    count: jax.Array
+    total: jax.Array
     other: jax.Array
 
 
@@ -36,9 +36,9 @@ def counts(seeds: int) -> Counts:
 
 def counting_stage(name="count", updates=7):
     def update(state, data, key):
-        return state.count + data, {"draw": jax.random.uniform(key)}
+        return state.total + data, {"draw": jax.random.uniform(key)}
 
-    return Stage(name, "count", updates, update)
+    return Stage(name, "total", updates, update)
 
 
 def test_updates_metrics_and_positions_by_hand():
@@ -49,9 +49,9 @@ def test_updates_metrics_and_positions_by_hand():
         jnp.asarray(2.0),
         seeds=(4, 9),
         chunk_updates=5,
-        on_chunk=lambda chunk, state: seen.append((chunk, np.array(state.count))),
+        on_chunk=lambda chunk, state: seen.append((chunk, np.array(state.total))),
     )
-    assert state.count.tolist() == [20.0, 20.0] and state.other.tolist() == [1.0, 1.0]
+    assert state.total.tolist() == [20.0, 20.0] and state.other.tolist() == [1.0, 1.0]
     positions = [(c.stage.name, c.position.stage, c.position.update, c.updates) for c, _ in seen]
     assert positions == [("one", 0, 5, 5), ("one", 0, 7, 2), ("two", 1, 3, 3)]
     assert [s.tolist() for _, s in seen] == [[10, 10], [14, 14], [20, 20]]
@@ -70,7 +70,7 @@ def test_training_starts_where_it_is_told():
         start=Position(0, 6),
         on_chunk=lambda chunk, state: seen.append(chunk.updates),
     )
-    assert state.count.tolist() == [4.0] and seen == [1, 3]
+    assert state.total.tolist() == [4.0] and seen == [1, 3]
 
 
 def test_chunking_never_matters_to_the_bit(ragged, fast_config):
