@@ -12,7 +12,7 @@ import numpy as np
 from guider.episodes import Episodes, make_episodes
 from guider.methods import guider
 from guider.methods.guider import GuiderConfig
-from guider.presets import Preset, guider_config
+from guider.presets import Preset, Problem, guider_config
 from guider.training import compile_chunk, init_seeds, seed_keys
 
 STAGES = ("latent", "high", "low")
@@ -27,7 +27,7 @@ Run = Callable[[int], None]
 
 def antmaze_config(preset: Preset) -> GuiderConfig:
     """A preset as antmaze gets it."""
-    return guider_config(preset, RADIUS_M, REACH_RADIUS_M, PERIOD_STEPS)
+    return guider_config(preset, Problem(RADIUS_M, REACH_RADIUS_M, PERIOD_STEPS))
 
 
 def random_walk(rows: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from guider.episodes import Spaces
 from guider.evaluation import MAX_COPIES, rollout
 from guider.methods import guider
 from guider.policy import Policy
-from guider.presets import guider_config
+from guider.presets import Problem, guider_config
 from guider.tasks import Task, find_task
 from guider.tasks.types import VectorEnv
 
@@ -50,7 +50,7 @@ class Recorder:
 
 def untrained_policy(task: Task) -> Policy:
     """The preset `fast` at full size, fresh from its initial draw."""
-    config = guider_config("fast", task.radius, task.reach_radius, task.period_steps)
+    config = guider_config("fast", Problem(task.radius, task.reach_radius, task.period_steps))
     spaces = Spaces(task.state_dim, task.goal_indices, (-1.0,) * task.action_dim, (1.0,) * task.action_dim)
     state = guider.init(config, spaces, guider.unit_scale(config, spaces), jax.random.key(0))
     bounds = jnp.asarray(spaces.action_low), jnp.asarray(spaces.action_high)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +13,20 @@ import numpy as np
 
 from guider import data as data_sources
 from guider import runs
-from guider.config import override
+from guider.config import differences, override
 from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.heldout import held_out_scores
 from guider.methods import METHODS
 from guider.policy import Agent, Policy
-from guider.presets import Preset, departures, guider_config
+from guider.presets import Preset, Problem, guider_config
 from guider.runs import Pace, Run, RunSpec
 from guider.tasks import Task, find_task
 from guider.training import Chunk
 
 DEFAULT_PACE = Pace()
+SCORE_UNITS = {"success": "success (%)", "return": "steps with the goal met", "subtasks": "subtasks done (%)"}
 TUNING_SEED = 1_000_000
 """Evaluation episodes during training use seeds from here on, those of `evaluate` start at 0: choices made
 while watching curves never saw the episodes of the score."""
@@ -67,20 +70,23 @@ def train(
     _check_seeds(seeds)
     if method not in METHODS:
         raise GuiderError(f"there is no method {method!r}; there is {', '.join(METHODS)}")
-    if fixed := {"radius", "reach_radius", "period_steps"} & set(settings or {}):
-        raise GuiderError(f"{fixed.pop()} has an option of its own; leave it out of --set")
+    if fixed := {"radius", "reach_radius", "period_steps", "goal_parts"} & set(settings or {}):
+        raise GuiderError(f"{fixed.pop()} is no setting: the task, or an option of its own, decides it")
     if data is None:
-        hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collect else "a file"
+        hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collector else "a file"
         raise GuiderError(f"no data given: name it with --data ({hint})")
     benchmark = None if task is None else find_task(task)
-    goal, radius, reach_radius = _goal(benchmark, data, goal_indices, radius, reach_radius)
-    episodes = _episodes(data, goal, format)
+    goal_indices = _goal_indices(benchmark, data, goal_indices, radius)
+    episodes = _episodes(data, goal_indices, format)
     if benchmark is not None:
         _check_fits(benchmark, episodes)
-    if period_steps is None:
-        default = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
-        period_steps = benchmark.period_steps if benchmark else default
-    config = override(guider_config(preset, radius, reach_radius, period_steps), settings or {})
+        problem = _problem(benchmark)
+    else:
+        assert radius is not None
+        problem = Problem(radius, 2 * radius, max(5, round(statistics.median(episodes.lengths.tolist()) / 20)))
+    chosen = {"reach_radius": reach_radius, "period_steps": period_steps}
+    problem = replace(problem, **{name: value for name, value in chosen.items() if value is not None})
+    config = override(guider_config(preset, problem), settings or {})
     held_out = (0.0 if benchmark else 0.1) if held_out is None else held_out
     if not 0 <= held_out < 1:
         raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
@@ -103,7 +109,7 @@ def train(
 
 def default_directory(task: str | None, method: str, preset: str) -> Path:
     """Where a run goes if nobody says otherwise."""
-    return Path("runs") / f"{task or 'own'}-{method}-{preset}"
+    return Path("runs") / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', task or 'own')}-{method}-{preset}"
 
 
 def resume(
@@ -211,12 +217,18 @@ def plot(
     return draw_run(opened, find_task(spec.task) if spec.task else None, episodes, spec.seeds[chosen], first_seed)
 
 
+def _problem(task: Task) -> Problem:
+    return Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.latent_dim, task.domain)
+
+
 def _departures(spec: RunSpec) -> dict[str, Any]:
     """Where a run's settings depart from `paper` on its task; for one's own data radii and period are its own."""
-    task, config = (None if spec.task is None else find_task(spec.task)), spec.config
-    if task is None:
-        return departures(config, config.radius, config.reach_radius, config.period_steps)
-    return departures(config, task.radius, task.reach_radius, task.period_steps)
+    config = spec.config
+    if spec.task is None:
+        problem = Problem(config.radius, config.reach_radius, config.period_steps)
+    else:
+        problem = _problem(find_task(spec.task))
+    return differences(config, guider_config("paper", problem))
 
 
 def _check_seeds(seeds: tuple[int, ...]) -> None:
@@ -245,27 +257,36 @@ def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
 
 
 def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:
-    """Success in percent, per seed with Wilson's interval and over seeds with the bootstrap's."""
-    success = np.stack([outcome.success for outcome in outcomes])
-    rates = 100 * success.mean(axis=1)
-    count = success.shape[1]
+    """The task's score, per seed and over seeds: Wilson's interval for one seed's success rate, else bootstrap's."""
+    scores = np.stack([outcome.score for outcome in outcomes])
+    means, count = scores.mean(axis=1), scores.shape[1]
+
+    def interval(outcome: Rollouts) -> list[float]:
+        if task.score == "success":
+            return [round(100 * bound, 1) for bound in wilson_interval(int(outcome.success.sum()), count)]
+        return [round(bound, 1) for bound in bootstrap_interval(outcome.score[None])]
+
     per_seed = [
         {
-            "success": float(rate),
-            "interval_95": [round(100 * bound, 1) for bound in wilson_interval(int(row.sum()), count)],
-            "median_steps_when_met": float(np.median(outcome.steps[row])) if row.any() else None,
+            "score": float(outcome.score.mean()),
+            "interval_95": interval(outcome),
+            "goal_met_percent": float(100 * outcome.success.mean()),
+            "median_steps_when_met": float(np.median(outcome.steps[outcome.success]))
+            if outcome.success.any()
+            else None,
         }
-        for rate, row, outcome in zip(rates, success, outcomes, strict=True)
+        for outcome in outcomes
     ]
     return {
         "environment": task.environment,
         "horizon_steps": task.horizon_steps,
         "radius": task.radius,
         "episodes_per_seed": count,
-        "episode_seeds": [first_seed, first_seed + success.size - 1],
-        "success": float(rates.mean()),
-        "success_std_over_seeds": float(rates.std()),  # of these seeds, ddof 0
-        "interval_95": [round(100 * bound, 1) for bound in bootstrap_interval(success)],
+        "episode_seeds": [first_seed, first_seed + scores.size - 1],
+        "unit": SCORE_UNITS[task.score],
+        "score": float(means.mean()),
+        "score_std_over_seeds": float(means.std()),  # of these seeds, ddof 0
+        "interval_95": [round(bound, 1) for bound in bootstrap_interval(scores)],
         "per_seed": per_seed,
         "paper_score": task.paper_score,
     }
@@ -293,7 +314,8 @@ def _with_evaluation(
                 "stage": chunk.stage.name,
                 "update": update,
                 "total_updates": runs.total_updates(stages, chunk.position),
-                "success": [float(outcome.success.mean()) for outcome in outcomes],
+                "score": [float(outcome.score.mean()) for outcome in outcomes],
+                "unit": SCORE_UNITS[task.score],
                 "episodes": episodes,
             }
             runs.append_line(directory / "evaluations.jsonl", line)
@@ -301,18 +323,14 @@ def _with_evaluation(
     return callback
 
 
-def _goal(
-    task: Task | None,
-    data: Any,
-    goal_indices: Sequence[int] | None,
-    radius: float | None,
-    reach_radius: float | None,
-) -> tuple[Sequence[int], float, float]:
-    """(goal_indices, radius, reach_radius), from the task where there is one, and checked."""
+def _goal_indices(
+    task: Task | None, data: Any, goal_indices: Sequence[int] | None, radius: float | None
+) -> Sequence[int]:
+    """The goal space, from the task where there is one. Raises GuiderError where it, or the radius, is not settled."""
     if task is not None:
         if goal_indices is not None or radius is not None:
             raise GuiderError(f"{task.name} fixes its goal entries and radius; leave --goal-indices and --radius out")
-        return task.goal_indices, task.radius, task.reach_radius if reach_radius is None else reach_radius
+        return task.goal_indices
     if isinstance(data, Episodes) and goal_indices is None:
         goal_indices = data.goal_indices
     if goal_indices is None or radius is None:
@@ -320,7 +338,7 @@ def _goal(
             "without a task name, say which state entries are the goal (--goal-indices 0 1) "
             "and how near counts as met (--radius 0.5)"
         )
-    return goal_indices, radius, 2 * radius if reach_radius is None else reach_radius
+    return goal_indices
 
 
 def _episodes(data: str | Path | Episodes, goal_indices: Sequence[int], format: str | None) -> Episodes:
@@ -334,3 +352,4 @@ def _check_fits(task: Task, episodes: Episodes) -> None:
             f"{episodes.source} holds states of {found[0]} and actions of {found[1]} numbers; "
             f"{task.name} ({task.environment}) has {task.state_dim} and {task.action_dim}"
         )
+    task.check_data(episodes)

@@ -62,7 +62,7 @@ def train(
         reach_radius: A subgoal counts as reached within this distance; by default twice the radius.
         period_steps: Steps between subgoals (c); by default the task's, or a twentieth of the median episode.
         held_out: Fraction of episodes kept aside for `guider evaluate`; by default 0.1 for own data, else 0.
-        format: How to read the data, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain.
+        format: How to read the data, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain, wgcsl.
         set: Further settings by dotted name, e.g. --set high.samples=2 low.updates=50000.
         evaluate_every: Evaluate on the task after every so many updates of the last stage (0: never).
         log_to: Also send metrics to TensorBoard (into the run) or Weights & Biases; extras of the package.
@@ -142,80 +142,140 @@ def plot(run: RunDirectory, seed: int | None = None, data: str | None = None, as
     _answer({"plots": paths}, "\n".join(paths), as_json)
 
 
-def tasks(as_json: Json = False) -> None:
-    """List the benchmark tasks with their environments, goals and protocols."""
-    from guider.tasks import TASKS
+def tasks(task: tyro.conf.Positional[str | None] = None, as_json: Json = False) -> None:
+    """List the benchmark tasks, or say all about one: environment, goal, protocol, data.
 
-    rows = [
-        {
-            "task": task.name,
-            "summary": task.summary,
-            "environment": task.environment,
-            "goal_indices": list(task.goal_indices),
-            "radius": task.radius,
-            "reach_radius": task.reach_radius,
-            "horizon_steps": task.horizon_steps,
-            "period_steps": task.period_steps,
-            "data": "guider collect" if task.collect else "D4RL file",
-            "paper_score": task.paper_score,
-        }
-        for task in TASKS.values()
-    ]
-    table = Table(box=None)
-    for name in ("task", "data", "steps", "c", "radius", "paper", "environment"):
-        table.add_column(name, no_wrap=True)
-    for row in rows:
-        columns = ("task", "data", "horizon_steps", "period_steps", "radius", "paper_score", "environment")
-        table.add_row(*("-" if row[name] is None else str(row[name]) for name in columns))
+    Three more forms make tasks of your own: gym:ENV_ID of any Gymnasium goal environment, pointmaze:FILE and
+    antmaze:FILE in a maze drawn in a text file (# wall, . free, S start, G goal).
+
+    Args:
+        task: The task to say all about.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider.tasks import TASKS, find_task
+
+    if task is not None:
+        facts = _task_facts(find_task(task))
+        _answer(facts, "\n".join(f"{name.replace('_', ' '):>14}  {value}" for name, value in facts.items()), as_json)
+        return
+    rows = [_task_facts(found) for found in TASKS.values()]
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for title in ("task", "score", "steps", "c", "radius", "paper", "collect"):
+        table.add_column(title, no_wrap=True)
+    for row, found in zip(rows, TASKS.values(), strict=True):
+        columns = (row[name] for name in ("horizon_steps", "period_steps", "radius", "paper_score"))
+        made = "yes" if found.collector else "-"
+        table.add_row(row["task"], found.score, *("-" if value is None else str(value) for value in columns), made)
     _answer(rows, table, as_json)
 
 
+def _task_facts(task: Any) -> dict[str, Any]:
+    from guider.api import SCORE_UNITS
+
+    return {
+        "task": task.name,
+        "summary": task.summary,
+        "environment": task.environment,
+        "source": task.source,
+        "goal_indices": list(task.goal_indices),
+        "goal_parts": [list(part) for part in task.goal_parts],
+        "radius": task.radius,
+        "reach_radius": task.reach_radius,
+        "horizon_steps": task.horizon_steps,
+        "period_steps": task.period_steps,
+        "latent_dim": task.latent_dim,
+        "score": SCORE_UNITS[task.score],
+        "data": task.collector.recipe if task.collector else None,
+        "paper_score": task.paper_score,
+    }
+
+
 def data(
-    action: tyro.conf.Positional[Literal["inspect"]],
-    source: tyro.conf.Positional[str],
+    action: tyro.conf.Positional[Literal["inspect", "fetch"]],
+    source: tyro.conf.Positional[str | None] = None,
     goal_indices: tuple[int, ...] = (0, 1),
     format: str | None = None,
+    out: Path | None = None,
+    mirror: str | None = None,
     as_json: Json = False,
 ) -> None:
-    """Look at logged data: `guider data inspect SOURCE` reads it as training would and says what it holds.
+    """Look at logged data, or fetch what others published.
+
+    `guider data inspect SOURCE` reads it as training would and says what it holds. `guider data fetch` lists what can
+    be fetched; `guider data fetch NAME` fetches and checks it, going on where an earlier download broke off.
 
     Args:
-        action: inspect.
-        source: HDF5, npz, a Minari directory or minari:ID.
-        goal_indices: The state entries that are the goal.
-        format: How to read it, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain.
+        action: inspect or fetch.
+        source: What to inspect: HDF5, npz, a pickle of WGCSL's, a Minari directory or minari:ID. Or a name to fetch.
+        goal_indices: inspect: the state entries that are the goal.
+        format: inspect: how to read it, if content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain, wgcsl.
+        out: fetch: directory for the files; by default GUIDER_DATA, or else ~/.cache/guider.
+        mirror: fetch: URL of a folder that holds the files under their own names, tried first.
         as_json: Print one JSON document instead of text.
     """
     from guider import data as sources
+    from guider.data.catalogue import CATALOGUE, find_dataset
+    from guider.data.download import fetch
 
-    assert action == "inspect"
-    description = sources.describe(sources.load(source, goal_indices, format=format))
-    lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in description.items()]
-    _answer(description, "\n".join(lines), as_json)
+    if action == "inspect":
+        if source is None:
+            raise GuiderError("say what to inspect: guider data inspect SOURCE")
+        description = sources.describe(sources.load(source, goal_indices, format=format))
+        lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in description.items()]
+        _answer(description, "\n".join(lines), as_json)
+    elif source is None:
+        rows = [{"name": found.name, "source": found.source} for found in CATALOGUE.values()]
+        _answer(rows, "\n".join(f"{row['name']:32}  {row['source']}" for row in rows), as_json)
+    else:
+        dataset = find_dataset(source)
+        with _bar("fetching", "MB") as show:
+            paths = fetch(
+                dataset, out, mirror, report=lambda done, total: show(done // 10**6, total and total // 10**6)
+            )
+        files = [str(path) for path in paths]
+        _answer({"name": source, "files": files}, "\n".join(f"{file} is complete" for file in files), as_json)
 
 
-def collect(task: TaskName, out: Path, steps: int = 200_000, seed: int = 0, as_json: Json = False) -> None:
-    """Record data for a task on this machine, reproducibly from a seed, as D4RL-style HDF5.
+def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, as_json: Json = False) -> None:
+    """Record data for a task on this machine, reproducibly from a seed.
 
     Args:
         task: A task whose data `guider tasks` says can be collected.
-        out: New HDF5 file.
-        steps: Rows to record.
+        out: New file laid out as D4RL's if it is called .hdf5, else the new directory of a Minari dataset.
+        steps: Rows to record; by default as many as the task's data has in the literature.
         seed: Equal seeds give equal files.
         as_json: Print one JSON document instead of text.
     """
+    from guider.data.write import write_d4rl, write_minari
     from guider.tasks import find_task
 
     found = find_task(task)
-    if found.collect is None:
-        raise GuiderError(f"{task} cannot be collected here; train it on D4RL's file for it, with --data FILE")
+    if found.collector is None:
+        raise GuiderError(f"{task} cannot be collected here; its data comes from files ({found.source}): --data FILE")
+    steps = found.collector.steps if steps is None else steps
     if out.exists():
         raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
     if steps < 2 or seed < 0:
         raise GuiderError(f"--steps must be at least 2 and --seed at least 0, got {steps} and {seed}")
     out.parent.mkdir(parents=True, exist_ok=True)
     with _bar("recording", "steps") as show:
-        found.collect(steps, seed, out, show)
+        recording = found.collector.record(steps, seed, show)
+    if out.suffix == ".hdf5":
+        write_d4rl(out, recording, found.goal_indices, found.radius, found.goal_parts)
+    else:
+        with _bar("writing", "episodes") as show:
+            write_minari(
+                out,
+                recording,
+                found.goal_indices,
+                found.radius,
+                found.goal_parts,
+                dataset_id=f"guider/{task}-v0",
+                recipe=found.collector.recipe,
+                description=f"{found.environment}; made by: guider collect {task} --steps {steps} --seed {seed}",
+                seed=seed,
+                report=show,
+            )
     _answer({"data": str(out), "steps": steps, "seed": seed}, f"recorded {out}", as_json)
 
 
@@ -318,13 +378,13 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
             table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
         return table
-    for name in ("success %", "95 % interval", "median steps"):
+    for name in (result["unit"], "95 % interval", "median steps when met"):
         table.add_column(name, no_wrap=True)
     for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
         low, high = scores["interval_95"]
-        table.add_row(str(seed), f"{scores['success']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"]))
+        table.add_row(str(seed), f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"]))
     low, high = result["interval_95"]
-    table.add_row("all", f"{result['success']:.1f}", f"{low} to {high}", "")
+    table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
     return table
 
 

@@ -33,8 +33,8 @@ def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config
     return config_type(**{name: _convert(hints[name], value, f"{where}.{name}") for name, value in values.items()})
 
 
-def override(config: C, assignments: dict[str, str]) -> C:
-    """Replace settings named by dotted paths with values as typed on a command line: {"high.samples": "4"}."""
+def override(config: C, assignments: dict[str, Any]) -> C:
+    """Replace settings named by dotted paths. Texts are read as typed on a command line: {"high.samples": "4"}."""
     values = to_dict(config)
     for path, text in assignments.items():
         *parents, name = path.split(".")
@@ -43,7 +43,7 @@ def override(config: C, assignments: dict[str, str]) -> C:
             inner = inner.get(parent) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name not in inner or isinstance(inner[name], dict):
             raise GuiderError(f"no setting is called {path!r}{_near(path, flatten(values))}")
-        inner[name] = _parse(text)
+        inner[name] = _parse(text) if isinstance(text, str) else text
     return from_dict(type(config), values)
 
 

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
+from guider.goals import part_distances
 from guider.policy import Policy, compiled_act, initial_state
 from guider.tasks.types import Task
-
-MAX_COPIES = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
     """One episode as it went, for pictures. achieved, subgoals: [steps, G]; goal: [G]; renewed: [steps] bool,
-    True where the policy chose a new subgoal."""
+    True where the policy chose a new subgoal; success: the goal was met."""
 
     achieved: np.ndarray
     subgoals: np.ndarray
@@ -28,8 +27,10 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Outcomes of E episodes. success: [E] bool; steps: [E] until the goal was met, or the horizon."""
+    """Outcomes of E episodes. score: [E], see guider.tasks.types.Score; success: [E] bool, the whole goal was met
+    after some step; steps: [E] until it was first, or the horizon."""
 
+    score: np.ndarray
     success: np.ndarray
     steps: np.ndarray
     traces: tuple[Trace, ...]
@@ -49,10 +50,10 @@ def rollout(
     Equal arguments give equal episodes. Another number of episodes changes the batch the policy is computed in, and
     with it the rounding of its actions; in contact-rich simulations single episodes may then go another way.
 
-    An episode ends when its goal is met (distance <= task.radius after a step) or after task.horizon_steps.
+    A goal is met where each of its parts is within task.radius after a step; task.score says what that is worth.
     keep_traces: how many episodes, the first ones, to record. on_steps(done, total) reports progress.
     """
-    copies = min(episodes, MAX_COPIES)
+    copies = min(episodes, task.copies)
     env = task.make_env(copies)
     try:
         batches = []
@@ -72,6 +73,7 @@ def rollout(
     finally:
         env.close()
     return Rollouts(
+        score=np.concatenate([b.score for b in batches])[:episodes],
         success=np.concatenate([b.success for b in batches])[:episodes],
         steps=np.concatenate([b.steps for b in batches])[:episodes],
         traces=tuple(t for b in batches for t in b.traces)[:keep_traces],
@@ -83,8 +85,10 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     observation, goal = env.reset(seeds)
     device_goal = jnp.asarray(goal)
     acting = initial_state(policy, env.count)
+    parts = max(1, len(task.goal_parts))
     active = np.ones(env.count, bool)
-    success = np.zeros(env.count, bool)
+    parts_met = np.zeros((env.count, parts), bool)
+    steps_met = np.zeros(env.count, int)
     steps = np.full(env.count, task.horizon_steps)
     reset_mask = jnp.ones(env.count, bool)
     no_reset = jnp.zeros(env.count, bool)
@@ -100,15 +104,23 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
                 )
             )
         observation = env.step(np.asarray(actions), active)
-        met = active & (np.linalg.norm(observation[:, goal_indices] - goal, axis=1) <= task.radius)
-        success |= met
-        steps[met] = step + 1
-        active &= ~met
+        distances = np.stack(part_distances(observation[:, goal_indices], goal, task.goal_parts), axis=1)
+        met = active[:, None] & (distances <= task.radius)
+        parts_met |= met
+        steps_met += met.all(axis=1)
+        done = met.all(axis=1) if task.score != "subtasks" else active & parts_met.all(axis=1)
+        steps[done] = np.minimum(steps[done], step + 1)
+        if task.score != "return":
+            active &= ~done
         reset_mask = no_reset
         on_step(step + 1)
         if not active.any():
             break
-    return Rollouts(success, steps, _traces(history, success, steps, goal, policy.config.period_steps))
+    success = parts_met.all(axis=1) if task.score == "subtasks" else steps_met > 0
+    score = {"success": 100.0 * success, "return": 1.0 * steps_met, "subtasks": 100.0 * parts_met.mean(axis=1)}
+    lengths = np.full(env.count, step + 1) if task.score == "return" else steps
+    traces = _traces(history, success, lengths, goal, policy.config.period_steps)
+    return Rollouts(score[task.score], success, steps, traces)
 
 
 def _traces(history, success, steps, goal, period_steps) -> tuple[Trace, ...]:
@@ -136,15 +148,14 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-def bootstrap_interval(success: np.ndarray, resamples: int = 2000) -> tuple[float, float]:
+def bootstrap_interval(scores: np.ndarray, resamples: int = 2000) -> tuple[float, float]:
     """95 % percentile interval of the mean over seeds; seeds, then episodes within them, are resampled.
 
-    success: [seeds, episodes].
+    scores: [seeds, episodes].
     """
     rng = np.random.default_rng(0)
-    seeds, episodes = success.shape
-    chosen = rng.integers(seeds, size=(resamples, seeds))
-    rates = success.mean(axis=1)[chosen]
-    means = (rng.binomial(episodes, rates) / episodes).mean(axis=1)
+    seeds, episodes = scores.shape
+    chosen = rng.integers(seeds, size=(resamples, seeds, 1))
+    means = scores[chosen, rng.integers(episodes, size=(resamples, seeds, episodes))].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)

@@ -8,15 +8,18 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from guider.goals import Parts, part_distances
 from guider.networks import Gaussian
 
 
-def goal_reward(achieved: jax.Array, goal: jax.Array, radius: float) -> jax.Array:
-    """Eq. 1 shifted by -1, so that an absorbing goal is worth 0.
+def goal_reward(achieved: jax.Array, goal: jax.Array, radius: float, parts: Parts = ()) -> jax.Array:
+    """Eq. 1 shifted so that an absorbing goal is worth 0.
 
-    r = 0 if ||s^G - g||_2 < radius else -1, in goal units. achieved, goal: [B, D]. Returns [B].
+    r = 0 if ||s^G - g||_2 < radius else -1, in goal units; of a goal with several parts, the sum over them.
+    achieved, goal: [B, D]. Returns [B].
     """
-    return jnp.where(jnp.linalg.norm(achieved - goal, axis=-1) < radius, 0.0, -1.0)
+    distances = part_distances(achieved, goal, parts)
+    return jnp.stack([jnp.where(distance < radius, 0.0, -1.0) for distance in distances]).sum(axis=0)
 
 
 def gaussian_kl(p: Gaussian, q: Gaussian) -> jax.Array:
@@ -53,7 +56,7 @@ def negative_elbo(
 def td_target(reward: jax.Array, next_value: jax.Array, discount: float) -> jax.Array:
     """r + gamma * V(s') while the goal is not met; 0 once it is, for there the episode ends.
 
-    reward: [B], 0 where the goal is met after the step, else -1 (`goal_reward`). Returns [B].
+    reward: [B], 0 where the goal is wholly met after the step, else below (`goal_reward`). Returns [B].
     """
     return jnp.where(reward < 0, reward + discount * next_value, 0.0)
 

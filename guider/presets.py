@@ -3,27 +3,51 @@ named in the method's files. `fast` is `paper` with the departures written out h
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from guider.config import differences
+from guider.config import override
+from guider.goals import Parts
 from guider.methods.guider import GuiderConfig
 
 Preset = Literal["fast", "paper"]
 
 
-def guider_config(preset: Preset, radius: float, reach_radius: float, period_steps: int) -> GuiderConfig:
-    """Guider's settings for a task.
+@dataclass(frozen=True)
+class Problem:
+    """What a task, or the owner of the data, settles before any method is chosen.
 
-    radius, reach_radius: goal units; period_steps: c, environment steps.
+    radius, reach_radius: goal units; period_steps: c, environment steps; goal_parts: see guider.goals;
+    latent_dim: of latent subgoals; domain: of the task, None for one's own data.
     """
-    paper = GuiderConfig(radius=radius, reach_radius=reach_radius, period_steps=period_steps)
+
+    radius: float
+    reach_radius: float
+    period_steps: int
+    goal_parts: Parts = ()
+    latent_dim: int = 2
+    domain: str | None = None
+
+
+FAST_IN_DOMAIN: dict[str | None, dict[str, Any]] = {}
+"""Where `fast` differs between domains: domain -> settings by dotted name."""
+
+
+def guider_config(preset: Preset, problem: Problem) -> GuiderConfig:
+    """Guider's settings for a problem."""
+    paper = GuiderConfig(
+        radius=problem.radius,
+        reach_radius=problem.reach_radius,
+        period_steps=problem.period_steps,
+        goal_parts=problem.goal_parts,
+        latent=replace(GuiderConfig().latent, latent_dim=problem.latent_dim),
+    )
     if preset == "paper":
         return paper
-    return replace(
+    fast = replace(
         paper,
         boundary="drop",
-        minimum_move=reach_radius,
+        minimum_move=problem.reach_radius,
         replan="reached",
         final_goal_substitution=True,
         normalise=True,
@@ -61,8 +85,4 @@ def guider_config(preset: Preset, radius: float, reach_radius: float, period_ste
             random_goal_fraction=0.5,
         ),
     )
-
-
-def departures(config: GuiderConfig, radius: float, reach_radius: float, period_steps: int) -> dict[str, Any]:
-    """Settings in which a config departs from the preset `paper` for a task of these radii and period."""
-    return differences(config, guider_config("paper", radius, reach_radius, period_steps))
+    return override(fast, FAST_IN_DOMAIN.get(problem.domain, {}))

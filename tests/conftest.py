@@ -15,7 +15,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 from guider.episodes import Episodes, make_episodes
 from guider.methods.guider import GuiderConfig
-from guider.presets import guider_config
+from guider.presets import Problem, guider_config
 
 TINY = {"hidden": (16, 16), "batch_size": 32}
 
@@ -57,4 +57,4 @@ def ragged() -> Episodes:
 
 @pytest.fixture
 def fast_config() -> GuiderConfig:
-    return tiny(guider_config("fast", radius=0.5, reach_radius=1.0, period_steps=5))
+    return tiny(guider_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)))

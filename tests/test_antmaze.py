@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from guider.tasks import find_task
-from guider.tasks.antmaze import FRAME_SKIP, INITIAL_QPOS, ant_model, sample_start
+from guider.tasks.antmaze import FRAME_SKIP, INITIAL_QPOS, ULTRA_GOAL_SHIFT_M, ant_model, sample_start
 from guider.tasks.mazes import make_maze
-from guider.tasks.simulation import MujocoVectorEnv, Start
+from guider.tasks.replay import take_steps
 
 RECREATION = Path(__file__).resolve().parents[2] / "shared" / "d4rl_antmaze"
 PHYSICS = """
@@ -83,35 +83,22 @@ def test_replay_lands_on_the_recorded_states():
     """
     states, actions, _, _ = recreation().run(("large", 6, RECREATION / "d4rl_ant_policy.npz", 7, 600))
     first = np.flatnonzero(np.arange(len(states)) % 600 != 599)
-    errors = np.abs(_step_from(states[first], actions[first]) - states[first + 1]).max(axis=1)
+    model = ant_model(make_maze("large", 4.0))
+    landed = take_steps(model, FRAME_SKIP, states[first].astype(float), actions[first])
+    errors = np.abs(landed - states[first + 1]).max(axis=1)
     assert np.mean(errors < 1e-5) >= 0.99
 
     rng = np.random.default_rng(0)
     for row in first[errors >= 1e-3]:
         rounding = rng.uniform(-0.5, 0.5, (64, 29)) * np.spacing(np.abs(states[row])).astype(float)
-        landed = _step_from(states[row] + rounding, np.repeat(actions[row][None], 64, axis=0))
+        landed = take_steps(model, FRAME_SKIP, states[row] + rounding, np.repeat(actions[row][None], 64, axis=0))
         assert np.abs(landed - states[row + 1]).max(axis=1).min() < 1e-3
-
-
-def _step_from(states: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """[n, 29] states, [n, 8] actions -> [n, 29] states one environment step later, in the large maze."""
-    remaining = iter(np.asarray(states, float))
-
-    def next_start(_rng: np.random.Generator) -> Start:
-        state = next(remaining)
-        return Start(qpos=state[:15], qvel=state[15:], goal=state[:2])
-
-    env = MujocoVectorEnv(ant_model(make_maze("large", 4.0)), FRAME_SKIP, next_start, len(states))
-    env.reset(np.zeros(len(states), int))
-    landed = env.step(actions, np.ones(len(states), bool))
-    env.close()
-    return landed
 
 
 def test_episodes_start_and_aim_where_d4rl_says():
     maze = make_maze("large", 4.0)
     rng = np.random.default_rng(0)
-    starts = [sample_start(maze, rng) for _ in range(4000)]
+    starts = [sample_start(maze, 0.0, rng) for _ in range(4000)]
     qpos, qvel, goals = (np.array([getattr(s, key) for s in starts]) for key in ("qpos", "qvel", "goal"))
     noise = qpos - np.array(INITIAL_QPOS)
     assert np.abs(noise).max() <= 0.1
@@ -125,8 +112,21 @@ def test_episodes_start_and_aim_where_d4rl_says():
 
 def test_no_goal_coordinate_is_negative():
     maze = make_maze("umaze", 4.0)
-    goals = np.array([sample_start(maze, np.random.default_rng(i)).goal for i in range(200)])
+    goals = np.array([sample_start(maze, 0.0, np.random.default_rng(i)).goal for i in range(200)])
     assert goals[:, 0].min() >= 0.0 and goals[:, 1].min() >= 8.0
+
+
+def test_ultra_aims_a_metre_nearer_the_origin():
+    maze = make_maze("ultra", 4.0)
+    rng = np.random.default_rng(0)
+    offsets = np.array([sample_start(maze, ULTRA_GOAL_SHIFT_M, rng).goal for _ in range(2000)]) - [52.0, 36.0]
+    assert -1.0 <= offsets.min() < -0.9 and 0.4 < offsets.max() <= 0.5
+    env = find_task("antmaze-ultra-diverse").make_env(1)
+    _, goals = env.reset(np.array([0]))
+    env.close()
+    np.testing.assert_array_equal(
+        goals[0], sample_start(maze, ULTRA_GOAL_SHIFT_M, np.random.default_rng(0)).goal.astype(np.float32)
+    )
 
 
 def test_a_copy_is_determined_by_its_seed_alone():
@@ -145,6 +145,29 @@ def test_a_copy_is_determined_by_its_seed_alone():
         np.testing.assert_array_equal(rerun[:, 0], trajectory[:, copy])
     many.close()
     few.close()
+
+
+@pytest.mark.parametrize(("route", "horizon_steps"), [("S" + 3 * "." + "G", 700), ("S" + 11 * "." + "G", 1200)])
+def test_a_drawn_maze(tmp_path, route, horizon_steps):
+    wall = "#" * (len(route) + 2)
+    (tmp_path / "line.txt").write_text(f"{wall}\n{wall}\n#{route}#\n{wall}\n")
+    task = find_task(f"antmaze:{tmp_path / 'line.txt'}")
+    assert (task.horizon_steps, task.name) == (horizon_steps, f"antmaze:{tmp_path / 'line.txt'}")
+    assert "line.txt" in task.environment
+    env = task.make_env(50)
+    observations, goals = env.reset(np.arange(50))
+    env.close()
+    assert np.abs(observations[:, :2] - [0.0, 4.0]).max() <= 0.1
+    offsets = goals - [4.0 * (len(route) - 1), 4.0]
+    assert offsets.min() >= 0.0 and offsets.max() <= 1.5
+
+
+def test_play_differs_from_diverse_in_the_data_alone():
+    for size in ("medium", "large"):
+        diverse, play = (find_task(f"antmaze-{size}-{data}") for data in ("diverse", "play"))
+        facts = "horizon_steps radius reach_radius environment maze goal_indices score".split()
+        assert all(getattr(diverse, fact) == getattr(play, fact) for fact in facts)
+        assert play.paper_score is None
 
 
 def test_tasks_are_the_papers():

@@ -18,7 +18,7 @@ from guider.methods import goal_policy, latent_subgoals, subgoal_policy
 from guider.methods import guider as method
 from guider.methods.guider import GuiderConfig, GuiderState
 from guider.networks import Gaussian
-from guider.presets import guider_config
+from guider.presets import Problem, guider_config
 from guider.samplers import Windows
 
 EPISODES = make_ragged()
@@ -27,7 +27,7 @@ SPACES = EPISODES.spaces
 
 def paper(**high) -> GuiderConfig:
     """The preset without dropout, whose noise the two libraries cannot share."""
-    config = guider_config("paper", 0.5, 1.0, 5)
+    config = guider_config("paper", Problem(0.5, 1.0, 5))
     return replace(
         config,
         latent=replace(config.latent, batch_size=32, decoder_dropout=0.0),

@@ -62,7 +62,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
     for a, b in zip(tree.leaves(plain), tree.leaves(watched), strict=True):
         np.testing.assert_array_equal(a, b)
     (line,) = runs.read_lines(tmp_path / "watched" / "evaluations.jsonl")
-    assert line["update"] == 4 and 0 <= line["success"][0] <= 1
+    assert line["update"] == 4 and 0 <= line["score"][0] <= 100
 
 
 @pytest.mark.parametrize(
@@ -76,12 +76,12 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
         (["evaluate", "nowhere"], "is not a run"),
         (["plot", "nowhere"], "is not a run"),
         (["data", "inspect", "nowhere.npz"], "nowhere.npz"),
-        (["collect", "antmaze-large-diverse", "--out", "x.hdf5"], "cannot be collected here"),
+        (["collect", "antmaze-large-play", "--out", "x.hdf5"], "cannot be collected here"),
         (["collect", "nothing", "--out", "x.hdf5"], "no task is called 'nothing'"),
         (["collect", "pointmaze-umaze", "--seed", "-1", "--out", "x.hdf5"], "--seed at least 0"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes must be 1 or more"),
         (["train", "pointmaze-umaze", "--data", "x", "--seeds", "0"], "--seeds must be 1 or more"),
-        (["train", "pointmaze-umaze", "--data", "x", "--set", "radius=3"], "radius has an option of its own"),
+        (["train", "pointmaze-umaze", "--data", "x", "--set", "radius=3"], "radius is no setting"),
         (["train", "--resume", "nowhere", "--seeds", "2"], "--resume takes all settings from the run"),
     ],
 )

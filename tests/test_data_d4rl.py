@@ -7,7 +7,7 @@ import pytest
 from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
 
 from guider.data import load
-from guider.data.d4rl import find_jumps
+from guider.data.d4rl import find_jumps, kitchen_states
 from guider.errors import GuiderError
 
 
@@ -106,13 +106,36 @@ def test_kitchen_terminals_end_episodes_and_the_goal_half_is_the_goal(tmp_path):
         load(path, (30,))
 
 
-def test_kitchen_of_gymnasium_robotics_keeps_its_59_numbers(tmp_path):
+def test_kitchen_of_gymnasium_robotics_becomes_the_same_states(tmp_path):
+    """59 numbers, which are robot and object positions with the velocities of each behind them."""
     arrays = walk([30, 30], state_dim=59, action_dim=9) | {"terminals": ends([30, 30])}
+    arrays["observations"][:] = np.arange(59.0)
     arrays["observations"][10:30, 20] += 0.7  # a switch that snaps over
-    episodes = load(write_hdf5(tmp_path / "k.hdf5", arrays), range(18, 39))
-    assert episodes.observations.shape[1] == 59
+    episodes = load(write_hdf5(tmp_path / "k.hdf5", arrays), range(9, 30))
     assert episodes.lengths.tolist() == [30, 30]
     assert episodes.goals is None
+    np.testing.assert_array_equal(episodes.observations[0], [*range(9), *range(18, 39)])
+    np.testing.assert_array_equal(episodes.achieved[10, :3], [18, 19, np.float32(20.7)])
+
+
+def test_one_kitchen_state_in_all_three_widths():
+    """The way back, too: from a state and velocities or a goal to the rows they are recorded in."""
+    states, velocities, goals = np.random.default_rng(0).normal(size=(3, 5, 30))
+    robot, objects = states[:, :9], states[:, 9:]
+    gymnasium_rows = np.concatenate([robot, velocities[:, :9], objects, velocities[:, 9:29]], axis=1)
+    d4rl_rows = np.concatenate([robot, objects, goals], axis=1)
+    assert (gymnasium_rows.shape[1], d4rl_rows.shape[1]) == (59, 60)
+    for rows in gymnasium_rows, d4rl_rows, states:
+        np.testing.assert_array_equal(kitchen_states(rows), states)
+
+
+def test_kitchen_states_alone_are_told_by_their_width(tmp_path):
+    arrays = walk([30, 30], state_dim=30, action_dim=9) | {"terminals": np.zeros(60, bool), "timeouts": ends([30, 30])}
+    arrays["observations"][:, 17] = np.arange(60) % 30 >= 10  # a switch that snaps over
+    arrays["infos/goal"] = np.ones((60, 21), np.float32)
+    episodes = load(write_hdf5(tmp_path / "k.hdf5", arrays), range(9, 30))
+    assert episodes.lengths.tolist() == [30, 30]
+    np.testing.assert_array_equal(episodes.goals, 1.0)
 
 
 def test_kitchen_format_can_be_asked_for(tmp_path):

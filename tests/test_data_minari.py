@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -133,7 +131,7 @@ def test_minari_goals_that_are_dicts_are_left_out(minari_root):
 
 @pytest.mark.filterwarnings("ignore")
 def test_minari_that_cannot_be_read(minari_root):
-    with pytest.raises(GuiderError, match=r"no such Minari dataset .* minari download nobody/nothing-v0"):
+    with pytest.raises(GuiderError, match=r"no such Minari dataset .* guider data fetch minari:nobody/nothing-v0"):
         load("minari:nobody/nothing-v0", GOAL)
     write_minari("test/image-v0", [np.zeros((6, 3, 3))], [np.zeros((5, 2), np.float32)])
     with pytest.raises(GuiderError, match="observations must be vectors"):
@@ -151,18 +149,3 @@ def test_minari_that_cannot_be_read(minari_root):
     file.write_bytes(file.read_bytes()[:500])
     with pytest.raises(GuiderError, match="damaged or cut off"):
         load("minari:test/short-v0", GOAL)
-
-
-def test_minari_extra_is_asked_for_when_absent(monkeypatch):
-    real_import = builtins.__import__
-
-    def without_minari(name, *args, **kwargs):
-        if name.split(".")[0] == "minari":
-            raise ImportError(name)
-        return real_import(name, *args, **kwargs)
-
-    for module in [name for name in sys.modules if name.split(".")[0] == "minari"]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setattr(builtins, "__import__", without_minari)
-    with pytest.raises(GuiderError, match=r'pip install "guider-rl\[minari\]"'):
-        load("minari:test/walk-v0", GOAL)

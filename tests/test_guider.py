@@ -21,7 +21,7 @@ from guider.methods.guider import GuiderConfig
 from guider.methods.scaling import Scale
 from guider.networks import Gaussian
 from guider.policy import Policy, act, initial_state
-from guider.presets import departures, guider_config
+from guider.presets import Problem, guider_config
 from guider.samplers import HighBatch, LowBatch
 
 
@@ -57,7 +57,7 @@ SWITCHES = {
 @pytest.mark.parametrize("preset", ["paper", "fast"])
 @pytest.mark.parametrize("switches", SWITCHES.values(), ids=SWITCHES)
 def test_every_switch_trains_and_acts(switches, preset):
-    config = override(tiny(guider_config(preset, 0.5, 1.0, period_steps=5)), switches)
+    config = override(tiny(guider_config(preset, Problem(0.5, 1.0, period_steps=5))), switches)
     episodes = make_ragged()
     data, scale = method.prepare(config, episodes)
     state = fresh = method.init(config, episodes.spaces, scale, jax.random.key(0))
@@ -74,18 +74,18 @@ def test_every_switch_trains_and_acts(switches, preset):
 
 
 def test_presets_are_what_they_say():
-    paper = guider_config("paper", 0.5, 1.0, 50)
-    assert departures(paper, 0.5, 1.0, 50) == {}
-    assert departures(replace(paper, period_steps=25), 0.5, 1.0, 50) == {"period_steps": 25}
+    paper = guider_config("paper", Problem(0.5, 1.0, 50))
     assert paper == GuiderConfig()
+    assert differences(replace(paper, period_steps=25), paper) == {"period_steps": 25}
     assert (paper.latent.updates, paper.high.updates, paper.low.updates) == (500_000, 200_000, 500_000)
-    fast = guider_config("fast", 0.5, 1.0, 50)
-    assert departures(fast, 0.5, 1.0, 50) == differences(fast, paper)
-    assert "normalise" in departures(fast, 0.5, 1.0, 50)
+    fast = guider_config("fast", Problem(0.5, 1.0, 50))
+    assert {"normalise", "low.relative"} < set(differences(fast, paper))
+    parts = guider_config("fast", Problem(0.3, 0.3, 40, goal_parts=((0,), (1, 2)), latent_dim=8))
+    assert parts.goal_parts == ((0,), (1, 2)) and parts.latent.latent_dim == 8
 
 
 def test_configs_survive_json_and_name_their_faults():
-    config = guider_config("fast", 0.25, 0.35, 20)
+    config = guider_config("fast", Problem(0.25, 0.35, 20))
     assert from_dict(GuiderConfig, to_dict(config)) == config
     assert override(config, {"low.hidden": "(8, 8)", "radius": "1"}).low.hidden == (8, 8)
     for change, message in {
@@ -95,7 +95,6 @@ def test_configs_survive_json_and_name_their_faults():
         ("radius", "-1"): "radius must be above 0",
         ("hihg.samples", "1"): "did you mean high.samples",
         ("low.hidden", "()"): "hidden must name one or more layers",
-        ("high.discount", "1"): "cap_targets needs a discount below 1",
         ("low.updates", "0"): "updates must be above 0",
         ("normalise", "false"): "position_waves needs normalise",
     }.items():
@@ -104,7 +103,7 @@ def test_configs_survive_json_and_name_their_faults():
 
 
 def test_low_inputs_and_reward_by_hand():
-    config = replace(guider_config("paper", 0.5, 1.0, 5), low=replace(GuiderConfig().low, relative=True))
+    config = replace(guider_config("paper", Problem(0.5, 1.0, 5)), low=replace(GuiderConfig().low, relative=True))
     scale = Scale(jnp.zeros(3), jnp.full(3, 2.0), jnp.zeros(2), jnp.full(2, 10.0), jnp.full(2, 4.0), jnp.zeros(0))
     spaces = make_ragged().spaces
     state = method.init(config, replace(spaces, state_dim=3), scale, jax.random.key(0))
@@ -125,7 +124,7 @@ def test_low_inputs_and_reward_by_hand():
 
 def test_high_relabelling_by_hand():
     """z is drawn from the posterior of the true pair, and the reward is for meeting the goal after c steps."""
-    config = guider_config("paper", 0.5, 1.0, 5)
+    config = guider_config("paper", Problem(0.5, 1.0, 5))
     state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
     now, later = jnp.zeros((2, 2)), jnp.array([[3.0, 0.0], [3.0, 0.0]])
     goal = jnp.array([[3.3, 0.0], [4.0, 0.0]])
@@ -138,7 +137,7 @@ def test_high_relabelling_by_hand():
 
 
 def test_targets_start_as_copies_of_the_critics():
-    state = method.init(guider_config("paper", 0.5, 1.0, 5), make_ragged().spaces, _unit(), jax.random.key(1))
+    state = method.init(guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, _unit(), jax.random.key(1))
     for part in (state.high, state.low):
         pairs = zip(jax.tree.leaves(part.params.critic), jax.tree.leaves(part.target_critic), strict=True)
         assert all(jnp.array_equal(a, b) for a, b in pairs)
@@ -187,7 +186,7 @@ def test_actor_loss_by_hand():
 
 def constant_policy(**acting) -> Policy:
     """Untrained policy whose networks are zero: it proposes its own position and never moves."""
-    config = tiny(replace(guider_config("paper", 0.5, 1.0, 3), **acting))
+    config = tiny(replace(guider_config("paper", Problem(0.5, 1.0, 3)), **acting))
     config = replace(config, latent=replace(config.latent, relative=True))
     state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
     state = state._replace(
@@ -234,7 +233,7 @@ def test_final_goal_is_substituted_only_within_reach():
 
 
 def test_acting_is_batched_row_by_row():
-    episodes, config = make_ragged(), tiny(guider_config("fast", 0.5, 1.0, 5))
+    episodes, config = make_ragged(), tiny(guider_config("fast", Problem(0.5, 1.0, 5)))
     _, scale = method.prepare(config, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
     policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
@@ -262,7 +261,7 @@ def corridor(episodes: int = 120, length: int = 25):
 def test_guider_learns_to_cross_a_corridor_longer_than_its_episodes_go():
     """Goals 15 m away, either way; recorded episodes move 13 m on average, in steps against noise."""
     config = override(
-        guider_config("fast", radius=0.5, reach_radius=1.0, period_steps=5),
+        guider_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)),
         {
             "latent.updates": "1500",
             "high.updates": "3000",
@@ -292,7 +291,7 @@ def test_latent_model_learns_what_is_reachable():
     start = rng.uniform(-5, 5, 4000)
     positions = np.stack([start, start + way], axis=1).reshape(-1, 1)
     episodes = make_episodes(positions, np.zeros((8000, 1)), [2] * 4000, (0,))
-    config = tiny(guider_config("fast", 0.5, 1.0, period_steps=1), updates=1500)
+    config = tiny(guider_config("fast", Problem(0.5, 1.0, period_steps=1)), updates=1500)
     config = replace(config, latent=replace(config.latent, latent_dim=1, learning_rate=3e-3))
     policy = policy_of(config, episodes)
     state = policy.state

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from guider import losses
+from guider.goals import largest_distance
 from guider.networks import Gaussian, gaussian_head, mlp, mlp_init, twin_init, twin_values
 
 
@@ -142,3 +143,11 @@ def test_shared_first_layer_is_the_plain_network():
         plain = mlp(layers, jnp.concatenate([wide, actions], axis=-1))[..., 0]
         np.testing.assert_allclose(twin_values(twins, context, actions)[twin], plain, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(twin_values(twins, context, actions[:, 0])[twin], plain[:, 0], rtol=1e-4, atol=1e-5)
+
+
+def test_goal_reward_counts_the_parts_in_place():
+    """Kitchen: objects (0,) and (1, 2) each within 0.3 of their goal; 0 only when both are."""
+    goal = jnp.zeros((3, 3))
+    achieved = jnp.array([[0.2, 0.1, 0.2], [0.2, 0.3, 0.1], [0.4, 0.3, 0.1]])
+    assert losses.goal_reward(achieved, goal, 0.3, ((0,), (1, 2))).tolist() == [0.0, -1.0, -2.0]
+    assert jnp.allclose(largest_distance(achieved, goal, ((0,), (1, 2))), jnp.array([0.05**0.5, 0.1**0.5, 0.4]))

@@ -1,22 +1,27 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from guider.errors import GuiderError
 from guider.tasks import TASKS, find_task
-from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.mazes import Maze, make_maze, read_maze
 
 UMAZE = make_maze("umaze", 4.0)
 
 
-def test_layouts_have_the_shape_and_border_d4rl_gives_them():
-    shapes = {name: make_maze(name, 4.0).walls.shape for name in ("umaze", "medium", "large")}
-    assert shapes == {"umaze": (5, 5), "medium": (8, 8), "large": (9, 12)}
-    for name in shapes:
+FREE_CELLS = {"umaze": 7, "medium": 26, "large": 46, "ultra": 89, "giant": 86}
+
+
+def test_layouts_have_the_shape_and_border_their_sources_give_them():
+    shapes = {name: make_maze(name, 4.0).walls.shape for name in FREE_CELLS}
+    assert shapes == {"umaze": (5, 5), "medium": (8, 8), "large": (9, 12), "ultra": (12, 16), "giant": (12, 16)}
+    for name, free_cells in FREE_CELLS.items():
         maze = make_maze(name, 4.0)
         border = [maze.walls[0], maze.walls[-1], maze.walls[:, 0], maze.walls[:, -1]]
         assert np.concatenate(border).all()
-        assert not maze.walls[maze.start_cell] and not maze.walls[maze.goal_cell]
-    assert [len(make_maze(name, 4.0).free_cells) for name in shapes] == [7, 26, 46]
+        reachable = maze.distances_to(maze.goal_cell) >= 0
+        assert reachable[maze.start_cell] and reachable.sum() == len(maze.free_cells) == free_cells
 
 
 @pytest.mark.parametrize(
@@ -54,11 +59,8 @@ def test_distances_in_the_umaze():
 
 
 def test_evaluated_routes():
-    routes = {name: make_maze(name, 1.0) for name in ("umaze", "medium", "large")}
-    lengths = {name: maze.distances_to(maze.goal_cell)[maze.start_cell] for name, maze in routes.items()}
-    assert lengths == {"umaze": 6, "medium": 10, "large": 14}
-    path = UMAZE.path((1, 1), (3, 1))
-    np.testing.assert_array_equal(path, [[1, 1], [1, 2], [1, 3], [2, 3], [3, 3], [3, 2], [3, 1]])
+    lengths = {name: make_maze(name, 1.0).route_cells for name in FREE_CELLS}
+    assert lengths == {"umaze": 6, "medium": 10, "large": 14, "ultra": 22, "giant": 30}
 
 
 def test_next_cells_lower_the_distance_by_one_from_every_free_cell():
@@ -78,49 +80,71 @@ def test_a_wall_leads_to_the_closest_free_cell():
 def test_distances_across_a_divided_maze():
     divided = Maze("divided", ("11111", "10101", "11111"), 1.0, goal_cell=(1, 3))
     assert divided.distances_to((1, 3))[1, 1] == -1
-    with pytest.raises(ValueError, match="no way"):
-        divided.path((1, 1), (1, 3))
+    assert divided.route_cells == -1
     with pytest.raises(ValueError, match="is a wall"):
         divided.distances_to((1, 2))
 
 
+DRAWN = """\
+########
+#..#..G#
+#.....##
+#S.#...#
+########
+"""
+
+
+def draw(folder: Path, text: str) -> Path:
+    path = folder / "maze.txt"
+    path.write_text(text)
+    return path
+
+
+def test_a_drawn_maze_is_read_as_drawn(tmp_path):
+    maze = read_maze(draw(tmp_path, DRAWN), 2.0)
+    assert maze.layout == ("11111111", "10010001", "10000011", "10010001", "11111111")
+    assert (maze.start_cell, maze.goal_cell, maze.cell_size_m) == ((3, 1), (1, 6), 2.0)
+    assert maze.route_cells == 7  # 5 to the right and 2 up
+    in_digits = "\ufeff" + DRAWN.replace("#", "1").replace(".", "0").replace("\n", "  \r\n") + "\n\n"
+    assert read_maze(draw(tmp_path, in_digits), 2.0) == maze
+    assert read_maze(draw(tmp_path, DRAWN.replace("#.....##", "#......#")), 2.0).name != maze.name
+
+
 @pytest.mark.parametrize(
-    ("a", "b", "free"),
+    ("text", "message"),
     [
-        ((0, 0), (8, 0), True),  # along the first corridor
-        ((0, 0), (0, 8), False),  # through the wall between start and goal
-        ((8, 0), (8, 8), True),  # down the right side
-        ((3.9, 0), (8, 4.1), False),  # cuts the corner of wall (2, 2), which is at x = 6, y = 2
-        ((4.1, -1), (9.9, 4), True),  # passes that corner with x = 7.6 at y = 2
-        ((0, 0), (0, 0), True),
-        ((0, 4), (0, 4), False),  # a point in a wall
-        ((0, 2), (4, 2), True),  # along a wall's edge
-        ((0, 0), (-40, 0), False),  # out of the maze
+        ("", "empty"),
+        ("\n\n", "empty"),
+        (DRAWN.replace("##\n#S", "#\n#S"), "line 3 has 7 cells, line 1 has 8"),
+        (DRAWN.replace("#S.", "#Sx"), "line 4, column 3: 'x'"),
+        (DRAWN.replace("#S.", "SS."), "line 4, column 1 is on the border"),
+        (DRAWN[:-2] + ".\n", "line 5, column 8 is on the border"),
+        ("#S.G#", "line 1, column 2 is on the border"),
+        (DRAWN.replace("S", "."), "S must be drawn once, and is drawn 0 times"),
+        (DRAWN.replace("G", "."), "G must be drawn once, and is drawn 0 times"),
+        (DRAWN.replace("#..#", "#GG#", 1), "G must be drawn once, and is drawn 3 times"),
+        (
+            DRAWN.replace("#.....##", "#..##.##"),
+            r"no way from S \(line 4, column 2\) to G \(line 2, column 7\)",
+        ),
+        (DRAWN.replace("#S.#...#", "#S.##.##").replace("#.....##", "#....###"), "line 4, column 6 cannot be reached"),
     ],
 )
-def test_segments(a, b, free):
-    assert UMAZE.segment_is_free(np.array(a), np.array(b)) == free
-    assert UMAZE.segment_is_free(np.array(b), np.array(a)) == free
+def test_a_maze_drawn_wrong_is_refused_with_the_place(tmp_path, text, message):
+    with pytest.raises(GuiderError, match=message) as caught:
+        read_maze(draw(tmp_path, text), 1.0)
+    assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_segments_agree_with_points_along_them():
-    maze = make_maze("large", 1.0)
-    rng = np.random.default_rng(1)
-    a, b = (
-        maze.cell_centre(maze.free_cells[rng.integers(46, size=300)]) + rng.uniform(-0.4, 0.4, (300, 2)) for _ in "ab"
-    )
-    along = a[:, None] + np.linspace(0, 1, 2000)[:, None] * (b - a)[:, None]
-    cells = maze.cell_of(along)
-    seen_free = ~maze.walls[cells[..., 0], cells[..., 1]].any(axis=1)
-    assert 30 < seen_free.sum() < 270
-    np.testing.assert_array_equal(maze.segment_is_free(a, b), seen_free)
-
-
-def test_wall_boxes_tile_the_walls():
-    boxes = UMAZE.wall_boxes
-    assert boxes.shape == (18, 4)
-    np.testing.assert_array_equal(boxes[0], [-6, -6, 4, 4])
-    np.testing.assert_array_equal(UMAZE.cell_of(boxes[:, :2] + 2), np.argwhere(UMAZE.walls))
+def test_what_is_no_text_is_no_maze(tmp_path):
+    with pytest.raises(GuiderError, match="no such file"):
+        read_maze(tmp_path / "none.txt", 1.0)
+    with pytest.raises(GuiderError, match="no such file"):
+        read_maze(tmp_path, 1.0)
+    binary = tmp_path / "maze.txt"
+    binary.write_bytes(b"\x80\xff")
+    with pytest.raises(GuiderError, match="cannot be read as text"):
+        read_maze(binary, 1.0)
 
 
 def test_tasks_are_found_by_name_and_unknown_names_get_a_hint():
@@ -129,5 +153,7 @@ def test_tasks_are_found_by_name_and_unknown_names_get_a_hint():
     with pytest.raises(GuiderError, match=r"pointmaze-large.*guider tasks") as caught:
         find_task("pointmase-large")
     assert "\n" not in str(caught.value)
-    with pytest.raises(GuiderError, match="'zzzz'; `guider tasks`"):
+    with pytest.raises(
+        GuiderError, match=r"'zzzz'; `guider tasks`.*pointmaze:MAZE\.txt, antmaze:MAZE\.txt and gym:ENV_ID"
+    ):
         find_task("zzzz")

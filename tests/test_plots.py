@@ -236,8 +236,8 @@ METRICS = [
     metrics_line("second", 10, {name: [-1.0, 0.0] for name in ("a", "value", "b", "td_error", "weight")}),
 ]
 EVALUATIONS = [
-    {"stage": "second", "update": 10, "total_updates": 30, "success": [0.2, 0.4], "episodes": 5},
-    {"stage": "second", "update": 20, "total_updates": 40, "success": [0.6, 1.0], "episodes": 5},
+    {"stage": "second", "update": 10, "total_updates": 30, "score": [20, 40], "unit": "success (%)", "episodes": 5},
+    {"stage": "second", "update": 20, "total_updates": 40, "score": [60, 100], "unit": "success (%)", "episodes": 5},
 ]
 
 
@@ -252,8 +252,8 @@ def test_learning_curves_show_seeds_and_mean_of_the_main_metrics():
     assert title_of(figure) == TITLE
 
 
-def test_success_curve_is_the_mean_in_percent():
-    figure = drawn(plots.success_curve(EVALUATIONS, TITLE))
+def test_score_curve_is_the_mean_in_percent():
+    figure = drawn(plots.score_curve(EVALUATIONS, TITLE))
     mean = figure.axes[0].lines[-1]
     np.testing.assert_allclose(points(mean), [(30, 30), (40, 80)])
     assert "2 seeds, 5 episodes each" in title_of(figure)
@@ -291,13 +291,13 @@ def test_a_run_in_a_maze_is_drawn_whole(tmp_path, monkeypatch):
 
     def fake_rollout(policy, task, episodes, first_seed, *, keep_traces):
         asked.append((policy.config.replan, episodes, first_seed, keep_traces))
-        return Rollouts(np.zeros(2, bool), np.zeros(2, int), TRACES)
+        return Rollouts(np.zeros(2), np.zeros(2, bool), np.zeros(2, int), TRACES)
 
     monkeypatch.setattr(plots, "rollout", fake_rollout)
     episodes = logs(2)
     run = make_run(tmp_path, episodes, TASK.name, make_policy(2))
     paths = plots.draw_run(run, TASK, episodes, 4, 1000, episodes_shown=2)
-    names = ["learning", "success", *(f"{n}-seed4" for n in ("episodes", "arrows", "reachable", "met"))]
+    names = ["learning", "scores", *(f"{n}-seed4" for n in ("episodes", "arrows", "reachable", "met"))]
     assert paths == [tmp_path / "plots" / f"{name}.png" for name in names]
     assert sorted(paths) == sorted((tmp_path / "plots").iterdir())
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
@@ -308,4 +308,4 @@ def test_a_run_on_logs_is_drawn_without_a_task(tmp_path):
     episodes = logs(2)
     run = make_run(tmp_path, episodes, None, make_policy(2))
     paths = plots.draw_run(run, None, episodes, 3, 1000)
-    assert [path.name for path in paths] == ["learning.png", "success.png", "subgoals-seed3.png"]
+    assert [path.name for path in paths] == ["learning.png", "scores.png", "subgoals-seed3.png"]

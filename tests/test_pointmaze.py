@@ -1,9 +1,12 @@
+import os
+
 import h5py
 import numpy as np
 import pytest
 
 from guider.collect import waypoints
 from guider.collect.waypoints import Guide
+from guider.data.write import write_d4rl
 from guider.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.mazes import Maze, make_maze
@@ -28,9 +31,10 @@ def env_at(maze: Maze, xy, count=1) -> MujocoVectorEnv:
 
 def collect(name, steps, seed, path):
     task, _ = task_and_maze(name)
-    assert task.collect is not None
+    assert task.collector is not None
     reports = []
-    task.collect(steps, seed, path, lambda done, total: reports.append((done, total)))
+    recording = task.collector.record(steps, seed, lambda done, total: reports.append((done, total)))
+    write_d4rl(path, recording, task.goal_indices, task.radius)
     return reports
 
 
@@ -219,9 +223,9 @@ def test_recording_is_reproducible_whatever_the_cores_and_batches(tmp_path, monk
 
 def test_noise_and_bursts_have_the_stated_rates():
     task, _ = task_and_maze("large")
-    recipe = task.collect.args[0]  # pyright: ignore[reportFunctionMemberAccess, reportOptionalMemberAccess]
+    recipe = task.collector.record.args[0]  # pyright: ignore[reportFunctionMemberAccess, reportOptionalMemberAccess]
     scripts = [waypoints._draw_script(recipe, np.random.default_rng(seed)) for seed in range(400)]
-    _, noise, held, on = (np.stack(parts) for parts in zip(*scripts, strict=True))
+    _, _, noise, held, on = (np.stack(parts) for parts in zip(*scripts, strict=True))
     assert noise.std() == pytest.approx(recipe.noise_spread, rel=0.02)
     late = on[:, recipe.burst_steps :]
     assert late.mean() == pytest.approx(1 - (1 - recipe.burst_chance) ** recipe.burst_steps, abs=0.02)
@@ -234,7 +238,7 @@ def test_a_failed_recording_leaves_nothing_behind(tmp_path, monkeypatch):
     def full_disk(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr(waypoints.os, "replace", full_disk)
+    monkeypatch.setattr(os, "replace", full_disk)
     with pytest.raises(OSError, match="no space"):
         collect("umaze", 100, 0, tmp_path / "data.hdf5")
     assert list(tmp_path.iterdir()) == []

@@ -21,7 +21,7 @@ import guider
 from guider import checkpoint, runs
 from guider.errors import GuiderError
 from guider.methods import guider as method
-from guider.presets import guider_config
+from guider.presets import Problem, guider_config
 from guider.training import Position
 
 SETTINGS = {
@@ -117,7 +117,7 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, pace=runs.Pac
 @pytest.mark.parametrize("preset", ["paper", "fast"])
 def test_a_checkpoint_holds_the_whole_state(ragged, tmp_path, preset):
     """Every leaf comes back as it was, in its place, those without entries too."""
-    config = tiny(guider_config(preset, 0.5, 1.0, 5))
+    config = tiny(guider_config(preset, Problem(0.5, 1.0, 5)))
     _, scale = method.prepare(config, ragged)
     state = method.init(config, ragged.spaces, scale, jax.random.key(0))
     checkpoint.save(tmp_path / "checkpoints", 7, Position(1, 3), state)

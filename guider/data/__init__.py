@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from guider.data.catalogue import MINARI_PREFIX
 from guider.data.d4rl import KITCHEN_ACTIONS, KITCHEN_COLUMNS, read_d4rl, read_d4rl_kitchen
 from guider.data.describe import describe
 from guider.data.minari import dataset_directory, read_minari
 from guider.data.ogbench import read_ogbench
 from guider.data.plain import read_plain
 from guider.data.store import Recording, Store, describe_keys, open_store
+from guider.data.wgcsl import is_pickle, read_wgcsl
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
 
@@ -24,8 +26,7 @@ _READERS: dict[str, Callable[[Store, tuple[int, ...]], Recording]] = {
     "ogbench": read_ogbench,
     "plain": read_plain,
 }
-FORMATS = (*_READERS, "minari")
-_MINARI_PREFIX = "minari:"
+FORMATS = (*_READERS, "minari", "wgcsl")
 
 
 def load(
@@ -38,10 +39,12 @@ def load(
 ) -> Episodes:
     """Read the trajectories at `source`.
 
-    source: an HDF5 or npz file, the directory of a Minari dataset, or 'minari:ID' for one that is installed
+    source: an HDF5 or npz file, a pickle of WGCSL's, the directory of a Minari dataset, or 'minari:ID' for one that is
+        installed
     goal_indices: the state entries that make up the goal space
     format: one of FORMATS; None tells it by content:
         minari        'minari:ID', or a directory (or main_data.hdf5) that Minari wrote
+        wgcsl         a pickle; it is read without unpickling
         plain         the file holds `lengths` or `episode_ends`
         ogbench       npz with `terminals` but no `timeouts`
         d4rl-kitchen  `terminals` or `timeouts`, 9 actions and 59 or 60 numbers a row: terminals end episodes
@@ -69,18 +72,20 @@ def load(
 
 def _read(name: str, goal_indices: tuple[int, ...], format: str | None) -> Recording:
     path = Path(name).expanduser()
-    is_id = name.startswith(_MINARI_PREFIX)
+    is_id = name.startswith(MINARI_PREFIX)
     directory = None if is_id else dataset_directory(path)
     if is_id or directory is not None or format == "minari":
         if format not in (None, "minari"):
             raise GuiderError(f"{name}: a Minari dataset, which cannot be read as {format}")
         if is_id:
-            return read_minari(name, name.removeprefix(_MINARI_PREFIX), goal_indices)
+            return read_minari(name, name.removeprefix(MINARI_PREFIX), goal_indices)
         if directory is None:
             raise GuiderError(f"{name}: no Minari dataset here (a directory with data/main_data.hdf5)")
         return read_minari(name, directory, goal_indices)
     if path.is_dir():
         raise GuiderError(f"{name}: a directory, but not a Minari dataset's; name a file in it")
+    if format == "wgcsl" or (format is None and is_pickle(path)):
+        return read_wgcsl(path, goal_indices)
     with open_store(path) as store:
         return _READERS[format or _detect(store)](store, goal_indices)
 

@@ -11,11 +11,12 @@ import numpy as np
 from guider.data.store import Recording, Store, lengths_from_ends
 from guider.episodes import check_goal_indices
 
-# What tells a kitchen file: 9 joint velocities, and either D4RL's 60 numbers a row (robot 9, objects 21, goal
-# 30) or the 59 of Gymnasium-Robotics' FrankaKitchen-v1 (robot 18, objects 41).
 KITCHEN_ACTIONS = 9
-KITCHEN_COLUMNS = (59, 60)
-_KITCHEN_STATE = 30  # of D4RL's 60 numbers; the other 30 are the goal, in the same order
+# A kitchen state is 30 numbers: joint positions of the robot (9) and of the objects (21). Other entries of rows that
+# are wider are left out: of 59 numbers, Gymnasium-Robotics' FrankaKitchen-v1, the velocities of both (D4RL records
+# none); of 60, D4RL, the goal.
+_KITCHEN_ENTRIES = {30: np.arange(30), 59: np.r_[0:9, 18:39], 60: np.arange(30)}
+KITCHEN_COLUMNS = tuple(_KITCHEN_ENTRIES)
 
 _JUMP_FACTOR = 4.0
 _NEIGHBOUR_FACTOR = 2.0
@@ -41,8 +42,8 @@ def read_d4rl_kitchen(store: Store, goal_indices: tuple[int, ...]) -> Recording:
     """D4RL kitchen: episodes end at `terminals` and at `timeouts`; jumps are not looked for, because a switch
     that snaps over is one.
 
-    Of rows of 60 numbers the first 30 are the state and the last 30 the goal, recorded in the same order, so
-    goals are its entries `goal_indices`. Rows of any other width are states as they stand.
+    Rows of 59 or 60 numbers become states of 30, see kitchen_states. Of 60, the last 30 are the goal, recorded in
+    the same order, so goals are its entries `goal_indices`. Rows of any other width are states as they stand.
     """
     store.require("observations", "actions", "terminals")
     observations = store.matrix("observations")
@@ -50,13 +51,17 @@ def read_d4rl_kitchen(store: Store, goal_indices: tuple[int, ...]) -> Recording:
     ends = store.flags("terminals", rows)
     if "timeouts" in store.keys:
         ends |= store.flags("timeouts", rows)
-    goal_half = None
-    if observations.shape[1] == 2 * _KITCHEN_STATE:
-        goal_half = observations[:, _KITCHEN_STATE:]
-        observations = np.ascontiguousarray(observations[:, :_KITCHEN_STATE])
-    goal_indices = check_goal_indices(goal_indices, observations.shape[1], store.source)
-    goals = _infos_goal(store, goal_indices) if goal_half is None else goal_half[:, list(goal_indices)]
-    return Recording(observations, store.matrix("actions"), lengths_from_ends(ends), goals)
+    states = kitchen_states(observations) if observations.shape[1] in KITCHEN_COLUMNS else observations
+    goal_indices = check_goal_indices(goal_indices, states.shape[1], store.source)
+    has_goals = observations.shape[1] == 60
+    goals = observations[:, 30:][:, list(goal_indices)] if has_goals else _infos_goal(store, goal_indices)
+    return Recording(states, store.matrix("actions"), lengths_from_ends(ends), goals)
+
+
+def kitchen_states(rows: np.ndarray) -> np.ndarray:
+    """[..., 30, 59 or 60] rows of any kitchen's data -> [..., 30] states: positions of the robot's 9 joints (rad; m for
+    the fingers) and of the objects' 21 (rad or m; the kettle's are its position and quaternion)."""
+    return rows[..., _KITCHEN_ENTRIES[rows.shape[-1]]]
 
 
 def find_jumps(achieved: np.ndarray, ends: np.ndarray) -> np.ndarray:

@@ -35,21 +35,17 @@ def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]
     `desired_goal` is the recorded goal where `achieved_goal` is the goal space asked for. Goals that are
     dicts are left out. What is put in front and what is kept is decided by the first episode.
 
-    Raises GuiderError without the minari package, and for a dataset that is not on this machine, is damaged,
-    or whose states or actions are not vectors.
+    Raises GuiderError for a dataset that is not on this machine, is damaged, or whose states or actions are not
+    vectors.
     """
-    try:
-        import minari
-        from minari import MinariDataset
-    except ImportError as error:
-        raise GuiderError(
-            f'{source}: reading Minari datasets needs a package: pip install "guider-rl[minari]"'
-        ) from error
+    import minari  # takes a while, and other sources do without
+    from minari import MinariDataset
+
     try:
         dataset = minari.load_dataset(location) if isinstance(location, str) else MinariDataset(location)
     except FileNotFoundError as error:
         raise GuiderError(
-            f"{source}: no such Minari dataset on this machine; fetch it with: minari download {location}"
+            f"{source}: no such Minari dataset on this machine; fetch it with: guider data fetch minari:{location}"
         ) from error
     except Exception as error:
         raise GuiderError(f"{source}: cannot be read as a Minari dataset ({error})") from error
@@ -84,7 +80,7 @@ def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...]) -> Recordi
                 "there must be one state more"
             )
         if observations is None or actions is None:
-            prepend = achieved is not None and not _contains(state, achieved)
+            prepend = achieved is not None and not contains(state, achieved)
             width = state.shape[1] + (achieved.shape[1] if prepend and achieved is not None else 0)
             goal_indices = check_goal_indices(goal_indices, width, source)
             observations = np.zeros((rows, width), np.float32)
@@ -114,6 +110,6 @@ def _vectors(array: Any) -> np.ndarray | None:
     return array if isinstance(array, np.ndarray) and array.ndim == 2 else None
 
 
-def _contains(state: np.ndarray, achieved: np.ndarray) -> bool:
+def contains(state: np.ndarray, achieved: np.ndarray) -> bool:
     """Whether every entry of `achieved` equals some entry of `state` throughout. [rows, S], [rows, G]."""
     return all(np.isclose(state, column[:, None], atol=1e-5).all(axis=0).any() for column in achieved.T)

@@ -70,7 +70,7 @@ class Transitions(NamedTuple):
     """Relabelled transitions as the networks see them (Algorithm 1, line 16).
 
     state, next_state: [B, inputs] scaled (s, g_sub, g_final); action: [B, A] in [-1, 1];
-    reward: [B], 0 where the subgoal is met after the step, else -1.
+    reward: [B], 0 where the subgoal is met after the step, else below.
     """
 
     state: jax.Array

@@ -16,6 +16,7 @@ from guider import losses
 from guider.config import check_not_negative, check_positive
 from guider.episodes import Episodes, Spaces
 from guider.errors import GuiderError
+from guider.goals import Parts, largest_distance
 from guider.methods import goal_policy, latent_subgoals, scaling, subgoal_policy
 from guider.methods.goal_policy import GoalPolicyConfig, GoalPolicyState
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
@@ -44,6 +45,8 @@ class GuiderConfig:
     """A goal or subgoal is met, and rewarded, within this distance (Eq. 1's epsilon, goal units)."""
     reach_radius: float = 1.0
     """Acting: a subgoal counts as reached within this distance (goal units)."""
+    goal_parts: Parts = ()
+    """Entries of the goal that must each be within the radius (kitchen: one part per object); () is all as one part."""
     boundary: Boundary = "clip"
     """c-step windows that would leave their episode end at its last state (clip), or are not used (drop)."""
     minimum_move: float = 0.0
@@ -143,7 +146,7 @@ def relabel_high(
     return subgoal_policy.Transitions(
         state=high_inputs(state.scale, batch.achieved, batch.goal),
         latent=posterior.sample(key),
-        reward=losses.goal_reward(batch.later, batch.goal, config.radius),
+        reward=losses.goal_reward(batch.later, batch.goal, config.radius, config.goal_parts),
         next_state=high_inputs(state.scale, batch.later, batch.goal),
         prior=latent_subgoals.prior(params, state.scale, batch.achieved),
     )
@@ -158,7 +161,7 @@ def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: 
     return goal_policy.Transitions(
         state=low_inputs(config, state, batch.observation, batch.achieved, subgoal, batch.goal),
         action=batch.action,
-        reward=losses.goal_reward(batch.next_achieved, batch.subgoal, config.radius),
+        reward=losses.goal_reward(batch.next_achieved, batch.subgoal, config.radius, config.goal_parts),
         next_state=low_inputs(config, state, batch.next_observation, batch.next_achieved, subgoal, batch.goal),
     )
 
@@ -232,9 +235,8 @@ def propose_subgoal(
     subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
     if config.final_goal_substitution:
         near = jnp.minimum(
-            jnp.linalg.norm(subgoal - goal, axis=-1, keepdims=True),
-            jnp.linalg.norm(achieved - goal, axis=-1, keepdims=True),
-        )
+            largest_distance(subgoal, goal, config.goal_parts), largest_distance(achieved, goal, config.goal_parts)
+        )[..., None]
         subgoal = jnp.where(near <= config.reach_radius, goal, subgoal)
         if config.low.subgoal_input == "latent":
             params = state.latent.params
@@ -261,7 +263,7 @@ def act(
     achieved = observation[..., jnp.asarray(goal_indices)]
     renew = reset_mask | (acting.steps_left <= 0)
     if config.replan == "reached":
-        renew |= jnp.linalg.norm(achieved - acting.subgoal, axis=-1) <= config.reach_radius
+        renew |= largest_distance(achieved, acting.subgoal, config.goal_parts) <= config.reach_radius
     subgoal, latent = propose_subgoal(config, state, achieved, goal)
     subgoal = jnp.where(renew[:, None], subgoal, acting.subgoal)
     latent = jnp.where(renew[:, None], latent, acting.latent)

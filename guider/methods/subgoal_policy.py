@@ -54,7 +54,7 @@ class SubgoalPolicyConfig:
     expectile: float = 0.7
     """Only for the expectile critic."""
     cap_targets: bool = False
-    """Keep Bellman targets within the values that rewards of -1 and 0 allow (departure)."""
+    """Keep Bellman targets at or below 0, the value of a met goal (departure)."""
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -62,8 +62,6 @@ class SubgoalPolicyConfig:
         check_not_negative(self, "goal_offset", "conservative_weight")
         check_fraction(self, "discount", "target_rate", "relabel_fraction", "random_goal_fraction", "expectile")
         check_shares(self)
-        if self.discount == 1 and self.cap_targets:
-            raise GuiderError("cap_targets needs a discount below 1")
         if self.critic == "cql" and self.batch_size < 2:
             raise GuiderError("batch_size must be 2 or more: CQL draws from the range of a batch")
 
@@ -88,7 +86,7 @@ class Transitions(NamedTuple):
     """Relabelled transitions as the networks see them (Algorithm 1, line 10).
 
     state, next_state: [B, inputs] scaled (s^G, g_final); latent: [B, Z]; reward: [B], 0 where the goal is met
-    after the step, else -1; prior: rho(z | s^G_t).
+    after the step, else below; prior: rho(z | s^G_t).
     """
 
     state: jax.Array
@@ -116,7 +114,7 @@ def propose(params: Params, state: jax.Array) -> Gaussian:
 
 
 def _cap(config: SubgoalPolicyConfig, target: jax.Array) -> jax.Array:
-    return jnp.clip(target, -1 / (1 - config.discount), 0.0) if config.cap_targets else target
+    return jnp.minimum(target, 0.0) if config.cap_targets else target
 
 
 def _sampled_critic_loss(

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from guider.episodes import Episodes
 from guider.evaluation import rollout
 from guider.plots import canvas
-from guider.plots.curves import learning_curves, success_curve
+from guider.plots.curves import learning_curves, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.plots.logs import subgoals_on_logs
 from guider.plots.mazes import episodes_in_maze, reachable_in_maze, spread_positions, subgoal_arrows
@@ -27,10 +27,10 @@ __all__ = [
     "episodes_in_maze",
     "learning_curves",
     "reachable_in_maze",
+    "score_curve",
     "subgoal_arrows",
     "subgoals_met",
     "subgoals_on_logs",
-    "success_curve",
 ]
 
 EPISODES_MEASURED = 20
@@ -59,7 +59,7 @@ def draw_run(
     if lines := read_lines(run.directory / "metrics.jsonl"):
         save("learning", learning_curves(lines, title_of_all))
     if lines := read_lines(run.directory / "evaluations.jsonl"):
-        save("success", success_curve(lines, title_of_all))
+        save("scores", score_curve(lines, title_of_all))
     policy = run.policies()[spec.seeds.index(seed)]
     logged, held_out = episodes.split(spec.held_out) if spec.held_out else (episodes, episodes)
 

@@ -53,22 +53,22 @@ def learning_curves(lines: Sequence[dict[str, Any]], title: str) -> Figure:
     return figure
 
 
-def success_curve(lines: Sequence[dict[str, Any]], title: str) -> Figure:
-    """Success rate during training, mean and standard deviation over seeds (Figures 5 and 6).
+def score_curve(lines: Sequence[dict[str, Any]], title: str) -> Figure:
+    """Scores during training, mean and standard deviation over seeds (Figures 5 and 6).
 
     lines: of evaluations.jsonl, at least one.
     """
     updates = [line["total_updates"] for line in lines]
-    rates = 100 * np.array([line["success"] for line in lines])
-    mean, deviation = rates.mean(axis=1), rates.std(axis=1)
-    seeds, episodes = rates.shape[1], lines[-1]["episodes"]
+    scores = np.array([line["score"] for line in lines])
+    mean, deviation = scores.mean(axis=1), scores.std(axis=1)
+    seeds, episodes = scores.shape[1], lines[-1]["episodes"]
     figure = canvas.new_figure(
         f"{title}\nmean and standard deviation of {seeds} seeds, {episodes} episodes each", (6, 4)
     )
     axes = figure.subplots()
     axes.fill_between(updates, mean - deviation, mean + deviation, color=canvas.BLUE, alpha=0.2, linewidth=0)
-    _seed_lines(axes, updates, rates, "o-")
-    axes.set(xlabel="updates of all stages", ylabel="success (%)", ylim=(-2, 102))
+    _seed_lines(axes, updates, scores, "o-")
+    axes.set(xlabel="updates of all stages", ylabel=lines[-1]["unit"], ylim=(0, None))
     return figure
 
 

@@ -3,19 +3,44 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 
 from guider.errors import GuiderError
+from guider.tasks import antmaze, pointmaze
 from guider.tasks.antmaze import ANTMAZES
+from guider.tasks.fetch import FETCH_TASKS
+from guider.tasks.gymnasium_tasks import GYM_ANTMAZES, goal_task
+from guider.tasks.kitchen import KITCHEN_TASKS
+from guider.tasks.ogbench_tasks import OGBENCH_TASKS
 from guider.tasks.pointmaze import POINTMAZES
 from guider.tasks.types import Task
 
-TASKS: dict[str, Task] = {task.name: task for task in (*POINTMAZES, *ANTMAZES)}
+TASKS: dict[str, Task] = {
+    task.name: task for task in (*POINTMAZES, *ANTMAZES, *FETCH_TASKS, *KITCHEN_TASKS, *GYM_ANTMAZES, *OGBENCH_TASKS)
+}
+OPEN_FORMS: dict[str, Callable[[str], Task]] = {
+    "pointmaze": pointmaze.custom_task,
+    "antmaze": antmaze.custom_task,
+    "gym": goal_task,
+}
 
 
 def find_task(name: str) -> Task:
-    """The task called `name`. Raises GuiderError, with the names closest to it, if there is none."""
+    """The task called `name`: one of TASKS, or made to order.
+
+    pointmaze:FILE, antmaze:FILE: in the maze drawn in a text file, see guider.tasks.mazes.read_maze
+    gym:ENV_ID: a Gymnasium goal environment, see guider.tasks.gymnasium_tasks.goal_task
+
+    Raises GuiderError, with the names closest to it, if there is none.
+    """
     if name in TASKS:
         return TASKS[name]
+    form, colon, rest = name.partition(":")
+    if colon and form in OPEN_FORMS:
+        return OPEN_FORMS[form](rest)
     near = difflib.get_close_matches(name, TASKS, n=3, cutoff=0.4)
     hint = f"did you mean {' or '.join(near)}? " if near else ""
-    raise GuiderError(f"no task is called {name!r}; {hint}`guider tasks` lists them all")
+    raise GuiderError(
+        f"no task is called {name!r}; {hint}`guider tasks` lists them all, and pointmaze:MAZE.txt, antmaze:MAZE.txt "
+        "and gym:ENV_ID make one of a maze you draw or of a Gymnasium goal environment"
+    )

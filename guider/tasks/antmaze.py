@@ -1,6 +1,6 @@
 # pyright: reportAttributeAccessIssue=false
 # (mujoco is a compiled module without type stubs)
-"""D4RL's antmaze: its ant, its mazes and its evaluation protocol.
+"""D4RL's antmaze: its ant, its mazes and its evaluation protocol; and the same ant in mazes of one's own.
 
 The ant is Gymnasium's `ant.xml` turned into the robot D4RL recorded its data on: the bodies are the same, the
 time step is twice as long and the motors are five times weaker. Stepping it from a recorded state with the
@@ -17,10 +17,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from guider.collect.ant_walker import walk
+from guider.collect.waypoints import Recipe, record
 from guider.errors import GuiderError
-from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.mazes import Maze, make_maze, read_maze
+from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
-from guider.tasks.types import Task, VectorEnv
+from guider.tasks.types import Collector, Task, VectorEnv
 
 CELL_SIZE_M = 4.0
 WALL_HEIGHT_M = 2.0
@@ -33,6 +36,11 @@ INITIAL_QPOS = (0, 0, 0.55, 1, 0, 0, 0, 0, 1, 0, -1, 0, -1, 0, 1)
 RESET_QPOS_RANGE = 0.1
 RESET_QVEL_SPREAD = 0.1
 GOAL_OFFSETS_M = (1.0, 0.5)
+GOAL_RADIUS_M = 0.5
+RECORDED_START_OFFSET_M = (-0.5, 1.0)
+ACTION_NOISE_SPREAD = 0.2
+# The extension of D4RL that brought the ultra maze twice shifts goals by half a metre towards the origin.
+ULTRA_GOAL_SHIFT_M = -1.0
 
 
 @cache
@@ -62,11 +70,11 @@ def ant_model(maze: Maze) -> mujoco.MjModel:
     return spec.compile()
 
 
-def sample_start(maze: Maze, rng: np.random.Generator) -> Start:
+def sample_start(maze: Maze, goal_shift_m: float, rng: np.random.Generator) -> Start:
     """D4RL's evaluation: near the centre of the start cell, towards a goal drawn within the goal cell.
 
     qpos differs from INITIAL_QPOS by U(-0.1, 0.1) in every entry, qvel is 0.1 N(0, 1). To each coordinate of
-    the goal cell's centre U(0, 1) + U(0, 0.5) metres are added; no coordinate falls below 0.
+    the goal cell's centre U(0, 1) + U(0, 0.5) + goal_shift_m metres are added; no coordinate falls below 0.
     """
     qpos = np.array(INITIAL_QPOS, float)
     qpos[:2] = maze.cell_centre(maze.start_cell)
@@ -74,13 +82,60 @@ def sample_start(maze: Maze, rng: np.random.Generator) -> Start:
     return Start(
         qpos=qpos + rng.uniform(-RESET_QPOS_RANGE, RESET_QPOS_RANGE, 15),
         qvel=RESET_QVEL_SPREAD * rng.standard_normal(14),
-        goal=np.maximum(maze.cell_centre(maze.goal_cell) + offsets, 0.0),
+        goal=np.maximum(maze.cell_centre(maze.goal_cell) + offsets + goal_shift_m, 0.0),
     )
 
 
-def make_env(maze: Maze, count: int) -> VectorEnv:
+def sample_start_anywhere(maze: Maze, rng: np.random.Generator) -> Start:
+    """Recording: in a uniformly drawn free cell, U(-0.5, 1) m from its centre along each axis, else as in evaluation.
+
+    Its goal is where it starts: the recorder draws its own.
+    """
+    start = sample_start(maze, 0.0, rng)
+    cell = maze.free_cells[rng.integers(len(maze.free_cells))]
+    start.qpos[:2] = maze.cell_centre(cell) + rng.uniform(*RECORDED_START_OFFSET_M, 2)
+    return Start(start.qpos, start.qvel, start.qpos[:2])
+
+
+def make_recording_env(maze: Maze, count: int) -> VectorEnv:
+    """`count` copies of D4RL's ant in `maze`, for recording."""
+    return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_start_anywhere, maze), count)
+
+
+def diverse(maze: Maze) -> Recipe:
+    """How D4RL recorded its `diverse` sets, with our walker in the place of D4RL's: from any cell towards one goal in
+    any cell, 1000 steps, with noise on actions and waypoints; an ant that arrives early stays about its goal."""
+    return Recipe(
+        maze=maze,
+        make_env=partial(make_recording_env, maze),
+        controller=walk,
+        action_dim=8,
+        episode_steps=1000,
+        goal_offset_m=(0.0, sum(GOAL_OFFSETS_M)),
+        goal_radius_m=GOAL_RADIUS_M,
+        further_goals=False,
+        waypoint_offset_m=(0.0, 1.0),
+        noise_spread=ACTION_NOISE_SPREAD,
+    )
+
+
+def make_env(maze: Maze, goal_shift_m: float, count: int) -> VectorEnv:
     """`count` copies of D4RL's ant in `maze`."""
-    return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_start, maze), count)
+    return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_start, maze, goal_shift_m), count)
+
+
+def custom_task(file: str) -> Task:
+    """D4RL's ant in the maze drawn in a text file (see read_maze), 4 m to a cell.
+
+    It may take 100 steps per cell of the shortest way, as in D4RL's medium maze, and at least 700.
+    """
+    maze = read_maze(Path(file), CELL_SIZE_M)
+    return _task(
+        f"antmaze:{file}",
+        maze,
+        horizon_steps=max(700, 100 * maze.route_cells),
+        source="a maze of one's own",
+    )
 
 
 def _gymnasium_ant() -> Path:
@@ -91,27 +146,54 @@ def _gymnasium_ant() -> Path:
     return Path(package.origin).parent / "envs" / "mujoco" / "assets" / "ant.xml"
 
 
-def _task(maze_name: str, horizon_steps: int, paper_score: float) -> Task:
-    maze = make_maze(maze_name, CELL_SIZE_M)
+def _task(
+    name: str,
+    maze: Maze,
+    horizon_steps: int,
+    source: str = "D4RL antmaze v2",
+    goal_shift_m: float = 0.0,
+    play: bool = False,
+    paper_score: float | None = None,
+) -> Task:
+    """play: its data's start and goal cells were picked by hand, so that it cannot be made here."""
+    environment = f"D4RL ant (gear {MOTOR_GEAR:g}) in MuJoCo {mujoco.__version__}, 4 m cells, maze {maze.name}"
     return Task(
-        name=f"antmaze-{maze_name}-diverse",
-        summary=f"an ant walks through D4RL's {maze_name} maze",
+        name=name,
+        summary=f"an ant walks through the maze {maze.name}",
+        domain="antmaze",
         goal_indices=(0, 1),
         state_dim=29,
         action_dim=8,
-        radius=0.5,
+        radius=GOAL_RADIUS_M,
         reach_radius=1.0,
         horizon_steps=horizon_steps,
         period_steps=50,
-        environment=f"D4RL ant (gear 30) in MuJoCo {mujoco.__version__}, 4 m cells",
-        make_env=partial(make_env, maze),
+        environment=environment,
+        source=source,
+        make_env=partial(make_env, maze, goal_shift_m),
+        check_data=partial(check_replay, partial(ant_model, maze), FRAME_SKIP, environment),
+        collector=None
+        if play
+        else Collector(partial(record, diverse(maze)), 1_000_000, "our own ant walker, with noise"),
         maze=maze,
         paper_score=paper_score,
     )
 
 
+_UMAZE, _MEDIUM, _LARGE, _ULTRA = (make_maze(name, CELL_SIZE_M) for name in ("umaze", "medium", "large", "ultra"))
+
+# Diverse and play differ in the data alone: its start and goal cells are drawn, or picked by hand.
 ANTMAZES = (
-    _task("umaze", 700, 88.5),
-    _task("medium", 1000, 87.3),
-    _task("large", 1000, 80.8),
+    _task("antmaze-umaze-diverse", _UMAZE, 700, paper_score=88.5),
+    _task("antmaze-medium-diverse", _MEDIUM, 1000, paper_score=87.3),
+    _task("antmaze-medium-play", _MEDIUM, 1000, play=True),
+    _task("antmaze-large-diverse", _LARGE, 1000, paper_score=80.8),
+    _task("antmaze-large-play", _LARGE, 1000, play=True),
+    _task(
+        "antmaze-ultra-diverse",
+        _ULTRA,
+        2000,
+        source="Jiang et al. 2023's extension of D4RL",
+        goal_shift_m=ULTRA_GOAL_SHIFT_M,
+    ),
 )

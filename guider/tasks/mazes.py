@@ -1,12 +1,17 @@
-"""The three mazes of D4RL's antmaze, as grids: cells, walls, distances and ways through them."""
+"""Mazes as grids, those of the literature and one's own: cells, walls, distances and ways through them."""
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
+
+from guider.errors import GuiderError
 
 Cell = tuple[int, int]
 
@@ -37,6 +42,34 @@ LARGE_LAYOUT = (
     "110101010111",
     "100100010001",
     "111111111111",
+)
+ULTRA_LAYOUT = (
+    "1111111111111111",
+    "1000000010000001",
+    "1011101010110101",
+    "1011101000010101",
+    "1000101101110101",
+    "1010001000000001",
+    "1000100010111011",
+    "1010111010001011",
+    "1000000010100001",
+    "1101101000111101",
+    "1101001010000001",
+    "1111111111111111",
+)
+GIANT_LAYOUT = (
+    "1111111111111111",
+    "1010000001100001",
+    "1010110101001101",
+    "1000100100010001",
+    "1011101111110101",
+    "1000100010000101",
+    "1110101001010111",
+    "1000100100010001",
+    "1010101111110101",
+    "1011100010001101",
+    "1000001000100001",
+    "1111111111111111",
 )
 
 
@@ -114,56 +147,82 @@ class Maze:
             following[tuple(wall)] = self.free_cells[np.argmin(np.abs(self.free_cells - wall).sum(axis=1))]
         return following
 
-    def path(self, start: Cell, goal: Cell) -> np.ndarray:
-        """[steps + 1, 2] int: the cells of a shortest way, both ends included.
-
-        Raises ValueError if there is none.
-        """
-        steps = self.distances_to(goal)[start]
-        if steps < 0:
-            raise ValueError(f"maze {self.name} has no way from {start} to {goal}")
-        following = self.next_cells_to(goal)
-        cells = [np.array(start)]
-        for _ in range(steps):
-            cells.append(following[tuple(cells[-1])])
-        return np.stack(cells)
-
-    @cached_property
-    def wall_boxes(self) -> np.ndarray:
-        """[walls, 4] in metres: x and y of the lower corner, width and height of every wall cell."""
-        corners = self.cell_centre(np.argwhere(self.walls)) - self.cell_size_m / 2
-        return np.hstack([corners, np.full_like(corners, self.cell_size_m)])
-
-    def segment_is_free(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """[..., 2], [..., 2] positions in metres -> [...] bool: the straight line between them meets no wall.
-
-        Touching a wall's edge does not count as meeting it. Clips the line against every wall (slab method).
-        """
-        a, b = np.broadcast_arrays(np.asarray(a, float), np.asarray(b, float))
-        a, along = a[..., None, :], (b - a)[..., None, :]
-        low, high = self.wall_boxes[:, :2], self.wall_boxes[:, :2] + self.wall_boxes[:, 2:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            to_low, to_high = (low - a) / along, (high - a) / along
-        parallel = along == 0
-        inside = (a > low) & (a < high)
-        enter = np.where(parallel, np.where(inside, -np.inf, np.inf), np.minimum(to_low, to_high))
-        leave = np.where(parallel, np.where(inside, np.inf, -np.inf), np.maximum(to_low, to_high))
-        first, last = enter.max(axis=-1), leave.min(axis=-1)
-        meets = (first < last) & (first < 1) & (last > 0)
-        return ~meets.any(axis=-1)
+    @property
+    def route_cells(self) -> int:
+        """Steps between adjacent cells on a shortest way from start to goal; -1 where there is none."""
+        return int(self.distances_to(self.goal_cell)[self.start_cell])
 
 
 def make_maze(name: str, cell_size_m: float) -> Maze:
-    """The maze `name` (umaze, medium or large) with cells of the given size.
+    """The maze `name` (umaze, medium, large, ultra or giant) with cells of the given size.
 
-    Source: D4RL's maze maps and evaluation targets.
+    Source: D4RL's maze maps and evaluation targets; ultra: those of "Efficient Planning in a Compact Latent Action
+    Space" (Jiang et al. 2023); giant: OGBench, with the first of its five goals.
     """
     layout, goal_cell = {
         "umaze": (UMAZE_LAYOUT, (3, 1)),
         "medium": (MEDIUM_LAYOUT, (6, 6)),
         "large": (LARGE_LAYOUT, (7, 9)),
+        "ultra": (ULTRA_LAYOUT, (10, 14)),
+        "giant": (GIANT_LAYOUT, (10, 14)),
     }[name]
     return Maze(name=name, layout=layout, cell_size_m=cell_size_m, goal_cell=goal_cell)
+
+
+def read_maze(path: Path, cell_size_m: float) -> Maze:
+    """The maze drawn in a text file: # or 1 for a wall, . or 0 for a free cell, S for the start and G for the goal.
+
+    A line is a row. The maze is named after the file and a digest of what is drawn.
+    Raises GuiderError, naming line and column (from 1), for any other character, lines of different lengths, a border
+    that is not all wall, S or G missing or drawn twice, and cells that cannot be reached from S.
+    """
+
+    def fail(message: str) -> GuiderError:
+        return GuiderError(f"{path}: {message}")
+
+    if not path.is_file():
+        raise fail("no such file; a maze is a text file of # and . with S and G")
+    try:
+        lines = [line.rstrip() for line in path.read_text(encoding="utf-8-sig").rstrip().splitlines()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise fail(f"cannot be read as text ({error})") from error
+    if not lines:
+        raise fail("the file is empty; draw a maze of # and . with S and G")
+    for number, line in enumerate(lines, 1):
+        if len(line) != len(lines[0]):
+            raise fail(
+                f"line {number} has {len(line)} cells, line 1 has {len(lines[0])}; all lines must be equally long"
+            )
+        if unknown := set(line) - set("#1.0SG"):
+            column = min(map(line.index, unknown)) + 1
+            raise fail(f"line {number}, column {column}: {line[column - 1]!r} is none of # 1 (wall), . 0 (free), S, G")
+    drawing = np.array([list(line) for line in lines])
+    walls = np.isin(drawing, ("#", "1"))
+    inside = np.zeros_like(walls)
+    inside[1:-1, 1:-1] = True
+    if (openings := np.argwhere(~walls & ~inside)).size:
+        raise fail(f"{_place(openings[0])} is on the border and must be wall")
+    start, goal = (_only(np.argwhere(drawing == character), character, fail) for character in "SG")
+    layout = tuple("".join("1" if wall else "0" for wall in row) for row in walls)
+    digest = hashlib.sha256("\n".join([*layout, _place(start), _place(goal)]).encode()).hexdigest()[:8]
+    maze = Maze(f"{path.name} ({digest})", layout, cell_size_m, goal_cell=goal, start_cell=start)
+    unreachable = maze.free_cells[maze.distances_to(start)[tuple(maze.free_cells.T)] < 0]
+    if maze.route_cells < 0:
+        raise fail(f"there is no way from S ({_place(start)}) to G ({_place(goal)})")
+    if len(unreachable):
+        raise fail(f"{_place(unreachable[0])} cannot be reached from S; make it wall")
+    return maze
+
+
+def _only(cells: np.ndarray, character: str, fail: Callable[[str], GuiderError]) -> Cell:
+    if len(cells) != 1:
+        raise fail(f"{character} must be drawn once, and is drawn {len(cells)} times")
+    row, column = cells[0].tolist()
+    return row, column
+
+
+def _place(cell: Cell | np.ndarray) -> str:
+    return f"line {cell[0] + 1}, column {cell[1] + 1}"
 
 
 def _neighbours(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:

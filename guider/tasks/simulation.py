@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -60,9 +60,14 @@ class MujocoVectorEnv:
         if len(seeds) != self.count:
             raise ValueError(f"{len(seeds)} seeds for {self.count} copies")
         starts = [self._sample_start(np.random.default_rng(int(seed))) for seed in seeds]
-        self._states[:, 0] = 0.0
-        self._states[:, 1:] = [np.concatenate([start.qpos, start.qvel]) for start in starts]
-        return self._observations(), np.array([start.goal for start in starts], np.float32)
+        observations = self.place(np.arange(self.count), starts)
+        return observations, np.array([start.goal for start in starts], np.float32)
+
+    def place(self, copies: np.ndarray, starts: Sequence[Start]) -> np.ndarray:
+        """Put the numbered copies where `starts` say, and return all observations [count, nq + nv] float32."""
+        self._states[copies, 0] = 0.0
+        self._states[copies, 1:] = [np.concatenate([start.qpos, start.qvel]) for start in starts]
+        return self._observations()
 
     def step(self, actions: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Advance the copies where `active` by one environment step; the others stay as they are.

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
+from guider.data.store import Recording
+from guider.episodes import Episodes
+from guider.goals import Parts
 from guider.tasks.mazes import Maze
+
+Score = Literal["success", "return", "subtasks"]
+"""How an episode is scored.
+
+success:  100 if the goal is met after some step, else 0; the episode ends there
+return:   number of steps after which the goal is met; the episode runs to the horizon
+subtasks: 100 times the share of the goal's parts met after some step; the episode ends with the last of them
+"""
+
+Report = Callable[[int, int], None]
+"""report(done, total): progress of long work."""
 
 
 class VectorEnv(Protocol):
@@ -37,24 +50,45 @@ class VectorEnv(Protocol):
 
 
 @dataclass(frozen=True)
+class Collector:
+    """How data for a task is made on this machine.
+
+    record: (steps, seed, report) -> what was recorded, the same for equal steps and seed
+    steps:  rows recorded unless the user says otherwise
+    recipe: in a few words, who acts
+    """
+
+    record: Callable[[int, int, Report], Recording]
+    steps: int
+    recipe: str
+
+
+@dataclass(frozen=True)
 class Task:
     """Everything that names a benchmark; a score is only comparable between equal Tasks.
 
+    domain:        tasks of one domain share settings in presets
     goal_indices:  state entries of the goal space
+    goal_parts:    entries of the goal that must each be within the radius, see guider.goals
     radius:        goal is met within this distance (goal units)
     reach_radius:  a subgoal counts as reached within this distance (goal units)
     horizon_steps: environment steps an evaluation episode may take
     period_steps:  the default subgoal period c
+    latent_dim:    the default dimension of latent subgoals
+    score:         how an episode is scored
     environment:   which simulation a score comes from
+    source:        where the definition comes from
     make_env:      number of copies -> VectorEnv
-    collect:       (steps, seed, path, report progress(done, total)) -> writes D4RL-style HDF5; None if data comes
-                   from elsewhere
+    copies:        how many copies evaluation steps at once, at most
+    collector:     how data is made here; None if it is not
+    check_data:    raises GuiderError where episodes of the right shape were recorded on another robot
     maze:          walls for pictures; None outside mazes
     paper_score:   the paper's Guider score (Table 1), None for tasks that are not in it
     """
 
     name: str
     summary: str
+    domain: str
     goal_indices: tuple[int, ...]
     state_dim: int
     action_dim: int
@@ -63,7 +97,13 @@ class Task:
     horizon_steps: int
     period_steps: int
     environment: str
+    source: str
     make_env: Callable[[int], VectorEnv]
-    collect: Callable[[int, int, Path, Callable[[int, int], None]], None] | None = None
+    latent_dim: int = 2
+    score: Score = "success"
+    goal_parts: Parts = ()
+    copies: int = 100
+    collector: Collector | None = None
+    check_data: Callable[[Episodes], None] = lambda episodes: None
     maze: Maze | None = None
     paper_score: float | None = None

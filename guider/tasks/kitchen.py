@@ -1,0 +1,128 @@
+# pyright: reportAttributeAccessIssue=false
+# (mujoco is a compiled module without type stubs)
+"""D4RL's kitchen: four things to do within 280 steps, on Gymnasium-Robotics' FrankaKitchen-v1.
+
+A state is 30 positions, the robot's 9 joints and the objects' 21, which is all that D4RL's files and this simulation
+have in common (guider.data.d4rl.kitchen_states); the goal space is the objects' 21. An episode scores 25 for each of
+the task's four subtasks whose joints come within 0.3 of their goal at some step, alone and in any order.
+"""
+
+from __future__ import annotations
+
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from functools import partial
+from io import StringIO
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
+from guider.data.d4rl import kitchen_states
+from guider.data.store import Recording
+from guider.errors import GuiderError
+from guider.tasks.gym_env import GymVectorEnv
+from guider.tasks.simulation import available_cores
+from guider.tasks.types import Collector, Report, Task, VectorEnv
+
+STATE_DIM = 30
+GOAL_INDICES = tuple(range(9, STATE_DIM))
+RADIUS = 0.3
+HORIZON_STEPS = 280
+
+
+@dataclass(frozen=True)
+class Subtask:
+    """entries: of the goal vector; values: their goal, rad or m (the kettle: position in m, and quaternion)."""
+
+    entries: tuple[int, ...]
+    values: tuple[float, ...]
+
+
+# Source: D4RL's and Gymnasium-Robotics' kitchens, which agree.
+SUBTASKS = {
+    "microwave": Subtask((13,), (-0.75,)),
+    "kettle": Subtask((14, 15, 16, 17, 18, 19, 20), (-0.23, 0.75, 1.62, 0.99, 0.0, 0.0, -0.06)),
+    "bottom burner": Subtask((2, 3), (-0.88, -0.01)),
+    "light switch": Subtask((8, 9), (-0.69, -0.05)),
+    "slide cabinet": Subtask((10,), (0.37,)),
+}
+MIXED = ("microwave", "kettle", "bottom burner", "light switch")
+
+
+def goal_vector(subtasks: tuple[str, ...]) -> tuple[float, ...]:
+    """The 21 numbers of a goal. Objects of other subtasks stay at 0, as in D4RL's files: doors, knobs and switches
+    start within 0.007 of it. The kettle, which does not, is part of every task."""
+    goal = np.zeros(len(GOAL_INDICES))
+    for subtask in subtasks:
+        goal[list(SUBTASKS[subtask].entries)] = SUBTASKS[subtask].values
+    return tuple(goal.tolist())
+
+
+def make_simulator() -> Any:
+    """Gymnasium-Robotics' kitchen with all its subtasks; it goes on when they are done."""
+    try:
+        with redirect_stderr(StringIO()):  # where the package prints notices about other environments
+            from gymnasium_robotics.envs.franka_kitchen.kitchen_env import KitchenEnv
+    except ImportError as error:
+        raise GuiderError(
+            f'kitchen tasks run on Gymnasium-Robotics: pip install "guider-rl[robotics]" ({error})'
+        ) from error
+    return KitchenEnv(terminate_on_tasks_completed=False)
+
+
+def make_env(goal: tuple[float, ...], count: int) -> VectorEnv:
+    """`count` copies of the kitchen, with the same goal in every episode."""
+    return GymVectorEnv(make_simulator, count, partial(_read, goal))
+
+
+def _read(goal: tuple[float, ...], observation: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    return kitchen_states(observation["observation"]), np.array(goal)
+
+
+def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
+    return record(recipe, steps, seed, report, available_cores())
+
+
+def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score: float) -> Task:
+    """recorded_steps: rows of D4RL's file."""
+    goal = goal_vector(subtasks)
+    goal_parts = tuple(SUBTASKS[subtask].entries for subtask in subtasks)
+    recipe = Recipe(
+        make_env=make_simulator,
+        deck=(WHOLE,) if data == "complete" else PLAY_DECK,
+        goal=goal,
+        goal_indices=GOAL_INDICES,
+        goal_parts=goal_parts,
+        radius=RADIUS,
+        solved_only=data == "complete",
+    )
+    return Task(
+        name=f"kitchen-{data}",
+        summary=f"a robot arm sees to {', '.join(subtasks[:3])} and {subtasks[3]}",
+        domain="kitchen",
+        goal_indices=GOAL_INDICES,
+        goal_parts=goal_parts,
+        state_dim=STATE_DIM,
+        action_dim=9,
+        radius=RADIUS,
+        reach_radius=RADIUS,
+        horizon_steps=HORIZON_STEPS,
+        period_steps=40,
+        latent_dim=8,
+        score="subtasks",
+        environment=f"FrankaKitchen-v1 of Gymnasium-Robotics in MuJoCo {mujoco.__version__}",
+        source="D4RL kitchen",
+        make_env=partial(make_env, goal),
+        copies=10,  # 80 MB and 0.2 s to build, each
+        collector=Collector(partial(_record, recipe), recorded_steps, "scripted demonstrations"),
+        paper_score=paper_score,
+    )
+
+
+KITCHEN_TASKS = (
+    _task("complete", WHOLE, 3_680, 68.8),
+    _task("partial", WHOLE, 136_950, 70.4),
+    _task("mixed", MIXED, 136_950, 67.1),
+)

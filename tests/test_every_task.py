@@ -1,0 +1,43 @@
+"""Every task of `guider tasks`, end to end and tiny: record data, train, evaluate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import guider
+from guider import api
+from guider.data.write import write_d4rl
+from guider.tasks import TASKS
+
+SETTINGS = {
+    "minimum_move": "0",
+    "boundary": "clip",
+    **{f"{part}.{name}": value for part in ("latent", "high", "low") for name, value in {
+        "updates": "2", "batch_size": "4", "hidden": "(8,)"}.items()},
+}  # fmt: skip
+PAPER_TASKS = [
+    *(f"antmaze-{maze}-diverse" for maze in ("umaze", "medium", "large")),
+    *(f"fetch-{task}-{data}" for task in ("reach", "push", "slide", "pick") for data in ("expert", "mixed")),
+    *(f"kitchen-{data}" for data in ("complete", "partial", "mixed")),
+]
+
+
+def test_all_of_the_papers_tasks_are_there_with_its_scores():
+    scores = [TASKS[name].paper_score for name in PAPER_TASKS]
+    assert scores == [88.5, 87.3, 80.8, 48.0, 47.0, 39.9, 33.4, 7.6, 4.1, 40.9, 33.2, 68.8, 70.4, 67.1]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_record_train_and_evaluate(name, tmp_path, monkeypatch):
+    task = TASKS[name]
+    if task.collector is None:
+        pytest.skip("its data comes from files only")
+    recording = task.collector.record(110, 0, lambda done, total: None)
+    assert np.isfinite(recording.observations).all() and len(recording.observations) == 110
+    write_d4rl(tmp_path / "data.hdf5", recording, task.goal_indices, task.radius, task.goal_parts)
+    run = guider.train(name, tmp_path / "data.hdf5", settings=SETTINGS, out=tmp_path / "run")
+    monkeypatch.setattr(api, "find_task", lambda _: replace(task, horizon_steps=3))
+    result = guider.evaluate(run, episodes=2)
+    assert result["environment"] == task.environment and result["task"] == name
+    assert 0 <= result["score"] <= (3 if task.score == "return" else 100)
