@@ -29,7 +29,21 @@ class Problem:
     domain: str | None = None
 
 
-FAST_IN_DOMAIN: dict[str | None, dict[str, Any]] = {}
+# An arm that manipulates: the goal stands still until it is touched, and where it will go is seen in the final goal.
+_MANIPULATION = {
+    "minimum_move": 0.0,
+    "position_waves": 0,
+    "latent.updates": 6_000,
+    "high.updates": 4_000,
+    "low.updates": 20_000,
+    "low.relabel_fraction": 0.8,
+    "low.random_goal_fraction": 0.0,
+}
+FAST_IN_DOMAIN: dict[str | None, dict[str, Any]] = {
+    "antmaze": {"latent.error_in_spreads": False, "latent.beta": 1.0},
+    "fetch": _MANIPULATION,
+    "kitchen": _MANIPULATION,
+}
 """Where `fast` differs between domains: domain -> settings by dotted name."""
 
 
@@ -58,9 +72,10 @@ def guider_config(preset: Preset, problem: Problem) -> GuiderConfig:
             batch_size=256,
             learning_rate=5e-4,
             hidden=(256, 256),
-            beta=1.0,
+            beta=0.1,
             decoder_dropout=0.0,
             relative=True,
+            error_in_spreads=True,
         ),
         high=replace(
             paper.high,

@@ -136,7 +136,7 @@ def test_strokes_undo_their_laws():
         action = first_stroke(speed, 0.007)
         assert 0.93 * action - 600 * 0.007**2 / action == pytest.approx(speed)
     action = second_stroke(1.1, 0.9, -0.001)
-    assert 0.82 * action + 0.25 * 0.9 + 21 * 0.001 == pytest.approx(1.1 - 0.981 * 0.04)
+    assert 0.62 * action + 0.46 * 0.9 + 27 * 0.001 == pytest.approx(1.1 - 0.981 * 0.04)
 
 
 @pytest.mark.parametrize("start", [(0.1, 0.0), (0.2, 0.02), (0.05, -0.02), (0.0, 0.15)])

@@ -18,11 +18,12 @@ from guider.errors import GuiderError
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig
+from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.scaling import Scale
 from guider.networks import Gaussian
 from guider.policy import Policy, act, initial_state
 from guider.presets import Problem, guider_config
-from guider.samplers import HighBatch, LowBatch
+from guider.samplers import HighBatch, LowBatch, Windows
 
 
 def policy_of(config, episodes, seeds=(0,)) -> Policy:
@@ -302,3 +303,18 @@ def test_latent_model_learns_what_is_reachable():
     prior = latent_subgoals.prior(state.latent.params, state.scale, at)
     assert bool(jnp.all(jnp.abs(posterior.mean - prior.mean) <= 2.5 * jnp.exp(prior.log_std)))
     assert bool(jnp.all(losses.gaussian_kl(posterior, prior) > 0.2)), "the latent tells the ways apart"
+
+
+def test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units():
+    config = LatentSubgoalsConfig(hidden=(8,), decoder_dropout=0.0, relative=True, error_in_spreads=True)
+    params = latent_subgoals.init(jax.random.key(0), config, 2, 2).params
+    achieved, later = jax.random.normal(jax.random.key(1), (2, 16, 2))
+
+    def loss(config, unit):
+        ones = unit * jnp.ones(2)
+        scale = _unit()._replace(goal_std=ones, step_std=0.3 * ones)
+        return latent_subgoals.loss(config, params, scale, Windows(unit * achieved, unit * later), jax.random.key(2))[0]
+
+    assert jnp.allclose(loss(config, 1.0), loss(config, 100.0), rtol=1e-5)
+    in_units = replace(config, error_in_spreads=False)
+    assert loss(in_units, 100.0) > 100 * loss(in_units, 1.0)

@@ -24,7 +24,7 @@ ATTEMPTS = 2
 # The angles that the arm is reset to (rad); a demonstrator's posture is near it.
 RESET_JOINTS = np.array([0.148, -1.768, 1.844, -2.477, 0.260, 0.713, 1.595])
 POSTURE_SPREAD_RAD = 0.08
-TEMPO_SPREAD = 0.12  # of the logarithm
+TEMPO_SPREAD = 0.10  # of the logarithm
 NOISE_SPREADS = (0.02, 0.06)  # of an action; an episode's is drawn between them
 NOISE_PERSISTENCE = 0.7  # correlation between one step and the next
 FINGER_NOISE = 0.3  # as a share of the joints'
@@ -54,7 +54,7 @@ class Pace:
 
 
 REACH = Pace(speed_m_s=1.0, near_m=0.015, near_rad=0.25, steps=50, care=0.5)
-TOUCH = Pace(speed_m_s=0.3, near_m=0.02, near_rad=0.3, steps=18, care=0.4)
+TOUCH = Pace(speed_m_s=0.3, near_m=0.02, near_rad=0.3, steps=12, care=0.4)
 WORK = Pace(speed_m_s=0.5, near_m=0.0, near_rad=0.0, steps=45, care=0.4)
 LEAVE = Pace(speed_m_s=0.8, near_m=0.05, near_rad=np.pi, steps=6, care=1.0)
 
@@ -196,28 +196,28 @@ def kettle(kitchen: Kitchen) -> Plan:
 
 
 def burner(kitchen: Kitchen, site: str, joint: str) -> Plan:
-    """Turn a knob: put the open fingers on both sides of its lever and push that along its arc with the left one.
+    """Turn a knob: push its lever, which points up, along its arc to the right with closed fingers.
 
-    The lever points up and turns to the right (its joint's angle falls). The finger aims at where the lever will be
-    `lead_rad` later, or it would only lean on it.
+    The joint's angle falls. The fingers aim at where the lever will be `lead_rad` later, and beyond it by `push_m`.
     """
-    lever_m, finger_m, opening_m, lead_rad, push_m = 0.028, 0.014, 0.045, 0.3, 0.01
+    lever_m, fingers_m, lead_rad, push_m = 0.028, 0.02, 0.3, 0.02
     lever_plane_y = 0.657
     knob_x, _, knob_z = kitchen.site(site)
     turned_rad = kitchen.about(-0.88, 0.06)
 
     def hand(x: float, z: float) -> Hand:
-        """The fingertips about a point relative to the knob's axis."""
-        return Hand(np.array([knob_x + x, lever_plane_y, knob_z + z]), pitch_rad=-0.3).ahead(-FINGERTIP_M)
+        """The fingertips at a point relative to the knob's axis."""
+        tip = np.array([knob_x + x, lever_plane_y, knob_z + z])
+        return Hand(tip, pitch_rad=-0.3, grip_m=CLOSED_M).ahead(-FINGERTIP_M)
 
     def push() -> Hand:
-        angle_rad = lead_rad - kitchen.joint(joint)
+        angle_rad, ahead_m = lead_rad - kitchen.joint(joint), push_m - fingers_m
         sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
-        ahead_m = push_m - finger_m
-        return hand(lever_m * sine + ahead_m * cosine + opening_m, lever_m * cosine - ahead_m * sine)
+        return hand(lever_m * sine + ahead_m * cosine, lever_m * cosine - ahead_m * sine)
 
-    yield from kitchen.go(hand(0.0, lever_m).shifted(y=-0.10), REACH)
-    yield from kitchen.go(hand(0.0, lever_m), TOUCH)
+    left = hand(-0.05, lever_m)
+    yield from kitchen.go(left.shifted(y=-0.10), REACH)
+    yield from kitchen.go(left, TOUCH)
     done = yield from kitchen.move(push, WORK, until=lambda: kitchen.joint(joint) < turned_rad)
     yield from kitchen.go(kitchen.here(push()).shifted(x=-0.02, y=-0.10), LEAVE)
     return done

@@ -24,8 +24,8 @@ Metrics = dict[str, jax.Array]
 class LatentSubgoalsConfig:
     """Settings of Eq. 2-3. Defaults are the authors' (preset `paper`).
 
-    beta weighs the KL (nats, mean over latent dimensions) against the squared error (goal units squared,
-    mean over goal dimensions); kl_balance is tau of Eq. 3.
+    beta weighs the KL (nats, mean over latent dimensions) against the squared error (goal units squared, see
+    `error_in_spreads`, mean over goal dimensions); kl_balance is tau of Eq. 3.
     """
 
     updates: int = 500_000
@@ -38,6 +38,8 @@ class LatentSubgoalsConfig:
     decoder_dropout: float = 0.1
     relative: bool = False
     """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
+    error_in_spreads: bool = False
+    """Count the squared error in spreads of the data's c-step moves, so that one beta suits any goal units (departure)."""
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -108,7 +110,10 @@ def loss(
     posterior = encode(config, params, scale, batch.achieved, batch.later)
     reachable = prior(params, scale, batch.achieved)
     decoded = decode(config, params, scale, batch.achieved, posterior.sample(sample_key), dropout_key)
-    total, error, kl = losses.negative_elbo(decoded, batch.later, posterior, reachable, config.beta, config.kl_balance)
+    unit = scale.step_std if config.error_in_spreads else 1.0
+    total, error, kl = losses.negative_elbo(
+        decoded / unit, batch.later / unit, posterior, reachable, config.beta, config.kl_balance
+    )
     metrics = {"loss": total.mean(), "squared_error": error.mean(), "kl": kl.mean()}
     return total.mean(), metrics
 

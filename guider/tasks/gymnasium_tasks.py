@@ -8,9 +8,10 @@ robot than D4RL's, so neither data nor scores belong to the tasks of guider.task
 
 from __future__ import annotations
 
-import importlib.util
+from contextlib import redirect_stderr
 from dataclasses import replace
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
@@ -40,10 +41,9 @@ def read_with_achieved_goal(observation: dict[str, np.ndarray]) -> tuple[np.ndar
 
 def make_gymnasium(env_id: str, **options: Any) -> gymnasium.Env:
     """The environment `env_id`, or `module:env_id`. Raises GuiderError if it cannot be made."""
-    if importlib.util.find_spec("gymnasium_robotics"):
+    with redirect_stderr(StringIO()):  # where the package prints notices about other environments
         import gymnasium_robotics
-
-        gymnasium.register_envs(gymnasium_robotics)
+    gymnasium.register_envs(gymnasium_robotics)
     try:
         return gymnasium.make(env_id, disable_env_checker=True, **options)
     except (gymnasium.error.Error, ImportError) as error:
