@@ -35,7 +35,7 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
     """
     config, state = policy.config, policy.state
     last = episodes.last_rows
-    rows = window_starts(episodes, config.period_steps, config.boundary, config.minimum_move)
+    rows = window_starts(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
     if len(rows) == 0:
         raise GuiderError(f"no held-out episode holds a window of {config.period_steps} steps to score")
     rng = np.random.default_rng(0)

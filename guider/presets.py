@@ -31,7 +31,7 @@ class Problem:
 
 # An arm that manipulates: the goal stands still until it is touched, and where it will go is seen in the final goal.
 _MANIPULATION = {
-    "minimum_move": 0.0,
+    "move_within": "episode",
     "position_waves": 0,
     "latent.updates": 6_000,
     "high.updates": 4_000,

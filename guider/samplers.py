@@ -16,6 +16,7 @@ from guider.episodes import Episodes
 from guider.errors import GuiderError
 
 Boundary = Literal["clip", "drop"]
+MoveWithin = Literal["period", "episode"]
 
 
 class Data(NamedTuple):
@@ -66,12 +67,18 @@ class LowBatch(NamedTuple):
     goal: jax.Array
 
 
-def window_starts(episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float = 0.0) -> np.ndarray:
+def window_starts(
+    episodes: Episodes,
+    period_steps: int,
+    boundary: Boundary,
+    minimum_move: float = 0.0,
+    move_within: MoveWithin = "period",
+) -> np.ndarray:
     """Rows t from which a window of c = `period_steps` may start. Returns [W] int32.
 
     boundary "drop": t + c lies within the episode. "clip": any t with a successor; the window then ends at
-    the episode's last state (the authors' choice). Windows whose ends lie closer than `minimum_move` (goal
-    units) are left out; 0 keeps all.
+    the episode's last state (the authors' choice). Left out are windows whose ends lie closer than `minimum_move`
+    (goal units), or, with move_within "episode", all of an episode that stays closer than that to its first state.
     """
     last = episodes.last_rows
     rows = np.arange(len(last), dtype=np.int32)
@@ -79,18 +86,29 @@ def window_starts(episodes: Episodes, period_steps: int, boundary: Boundary, min
     keep = rows + (period_steps if boundary == "drop" else 1) <= last
     if minimum_move > 0:
         achieved = episodes.achieved
-        keep &= np.linalg.norm(achieved[later] - achieved, axis=1) >= minimum_move
+        if move_within == "period":
+            keep &= np.linalg.norm(achieved[later] - achieved, axis=1) >= minimum_move
+        else:
+            first = np.repeat(achieved[episodes.starts], episodes.lengths, axis=0)
+            furthest = np.maximum.reduceat(np.linalg.norm(achieved - first, axis=1), episodes.starts)
+            keep &= np.repeat(furthest >= minimum_move, episodes.lengths)
     return rows[keep]
 
 
-def device_data(episodes: Episodes, period_steps: int, boundary: Boundary, minimum_move: float) -> Data:
+def device_data(
+    episodes: Episodes,
+    period_steps: int,
+    boundary: Boundary,
+    minimum_move: float,
+    move_within: MoveWithin = "period",
+) -> Data:
     """Episodes on the device; a CPU device shares their memory. Transitions are learned from where a clipped window
     may start, see `window_starts`. Raises GuiderError where there is no window."""
     last = episodes.last_rows
     half_range = (episodes.action_high - episodes.action_low) / 2
     centre = (episodes.action_high + episodes.action_low) / 2
-    transition_rows = window_starts(episodes, period_steps, "clip", minimum_move)
-    window_rows = window_starts(episodes, period_steps, boundary, minimum_move)
+    transition_rows = window_starts(episodes, period_steps, "clip", minimum_move, move_within)
+    window_rows = window_starts(episodes, period_steps, boundary, minimum_move, move_within)
     if len(window_rows) == 0:
         raise GuiderError(
             f"{episodes.source}: no episode holds a window of {period_steps} steps that moves {minimum_move:g} or more "

@@ -39,6 +39,14 @@ def test_minimum_move_leaves_out_idle_windows():
     assert window_starts(episodes, 2, "drop", minimum_move=1.0).tolist() == [1, 2]
 
 
+def test_minimum_move_leaves_out_idle_episodes():
+    """Three episodes: one that goes 2 away and comes back, one that stays, one that drifts by 0.9."""
+    position = np.array([0.0, 2.0, 0.0, 5.0, 5.0, 5.0, 7.0, 7.4, 7.9])[:, None]
+    episodes = make_episodes(position, np.zeros((9, 1)), [3, 3, 3], (0,))
+    assert window_starts(episodes, 1, "drop", 1.0, "episode").tolist() == [0, 1]
+    assert window_starts(episodes, 1, "drop", 0.9, "episode").tolist() == [0, 1, 6, 7]
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     lengths=st.lists(st.integers(2, 40), min_size=1, max_size=6),

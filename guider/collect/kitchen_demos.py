@@ -2,8 +2,7 @@
 
 A subtask is a plan: a generator that looks at the kitchen and says, step by step, where the hand should be. Plans aim
 at handles, which they find as sites of the simulation; a demonstrator's style makes no two demonstrations alike.
-Coordinates are the world's, in metres: the robot stands at the origin's side of the counter, x runs to the right
-along it, y into it, z up.
+Coordinates are the world's, in metres: seen from the robot, x runs to the right along the counter, y ahead, z up.
 """
 
 from __future__ import annotations
@@ -43,20 +42,20 @@ class Pace:
     speed_m_s: at most
     near_m:    it ends within this distance of its aim (0: never); near_rad: and this turn
     steps:     it ends after so many steps at the latest
-    care:      1 aims as sloppily as the spreads above say, 0 exactly
+    jitter:    share of the spreads above by which it misses its aim
     """
 
     speed_m_s: float
     near_m: float
     near_rad: float
     steps: int
-    care: float
+    jitter: float
 
 
-REACH = Pace(speed_m_s=1.0, near_m=0.015, near_rad=0.25, steps=50, care=0.5)
-TOUCH = Pace(speed_m_s=0.3, near_m=0.02, near_rad=0.3, steps=12, care=0.4)
-WORK = Pace(speed_m_s=0.5, near_m=0.0, near_rad=0.0, steps=45, care=0.4)
-LEAVE = Pace(speed_m_s=0.8, near_m=0.05, near_rad=np.pi, steps=6, care=1.0)
+REACH = Pace(speed_m_s=1.0, near_m=0.015, near_rad=0.25, steps=50, jitter=0.5)
+TOUCH = Pace(speed_m_s=0.3, near_m=0.02, near_rad=0.3, steps=12, jitter=0.4)
+WORK = Pace(speed_m_s=0.5, near_m=0.0, near_rad=0.0, steps=45, jitter=0.4)
+LEAVE = Pace(speed_m_s=0.8, near_m=0.05, near_rad=np.pi, steps=6, jitter=1.0)
 
 Chain = tuple[str, ...]
 """Subtasks, in the order in which they are done."""
@@ -89,12 +88,10 @@ class Kitchen:
         """A mark as this demonstrator takes it."""
         return mark + spread * self.rng.standard_normal()
 
-    def move(
-        self, aim: Callable[[], Hand], pace: Pace, until: Callable[[], bool] = lambda: False
-    ) -> Generator[Aim, None, bool]:
-        """Follow a moving aim until `until`, which is returned, or the end of the pace."""
-        offset = pace.care * POSITION_SPREAD_M * self.rng.standard_normal(3)
-        yaw, pitch = pace.care * ROTATION_SPREAD_RAD * self.rng.standard_normal(2)
+    def move(self, aim: Callable[[], Hand], pace: Pace, until: Callable[[], bool] = lambda: False) -> Plan:
+        """Follow a moving aim until `until` holds or the pace ends; returns whether it holds."""
+        offset = pace.jitter * POSITION_SPREAD_M * self.rng.standard_normal(3)
+        yaw, pitch = pace.jitter * ROTATION_SPREAD_RAD * self.rng.standard_normal(2)
         for _ in range(pace.steps):
             exact = aim()
             hand = Hand(exact.position + offset, exact.yaw_rad + yaw, exact.pitch_rad + pitch, exact.grip_m)
@@ -196,28 +193,29 @@ def kettle(kitchen: Kitchen) -> Plan:
 
 
 def burner(kitchen: Kitchen, site: str, joint: str) -> Plan:
-    """Turn a knob: push its lever, which points up, along its arc to the right with closed fingers.
+    """Turn a knob: put the open fingers on both sides of its lever and push that along its arc with the left one.
 
-    The joint's angle falls. The fingers aim at where the lever will be `lead_rad` later, and beyond it by `push_m`.
+    The lever points up and turns to the right (its joint's angle falls). The finger aims at where the lever will be
+    `lead_rad` later, and `push_m` beyond it, or it would only lean on it.
     """
-    lever_m, fingers_m, lead_rad, push_m = 0.028, 0.02, 0.3, 0.02
+    lever_m, finger_m, opening_m, lead_rad, push_m = 0.028, 0.014, 0.045, 0.3, 0.015
     lever_plane_y = 0.657
     knob_x, _, knob_z = kitchen.site(site)
-    turned_rad = kitchen.about(-0.88, 0.06)
+    turned_rad = kitchen.about(-0.82, 0.04)
 
     def hand(x: float, z: float) -> Hand:
-        """The fingertips at a point relative to the knob's axis."""
-        tip = np.array([knob_x + x, lever_plane_y, knob_z + z])
-        return Hand(tip, pitch_rad=-0.3, grip_m=CLOSED_M).ahead(-FINGERTIP_M)
+        """The fingertips about a point relative to the knob's axis."""
+        return Hand(np.array([knob_x + x, lever_plane_y, knob_z + z]), pitch_rad=-0.3).ahead(-FINGERTIP_M)
 
     def push() -> Hand:
-        angle_rad, ahead_m = lead_rad - kitchen.joint(joint), push_m - fingers_m
+        angle_rad, ahead_m = lead_rad - kitchen.joint(joint), push_m - finger_m
         sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
-        return hand(lever_m * sine + ahead_m * cosine, lever_m * cosine - ahead_m * sine)
+        return hand(lever_m * sine + ahead_m * cosine + opening_m, lever_m * cosine - ahead_m * sine)
 
-    left = hand(-0.05, lever_m)
-    yield from kitchen.go(left.shifted(y=-0.10), REACH)
-    yield from kitchen.go(left, TOUCH)
+    # A little to the right: the arm swings to the left as it stretches.
+    astride = hand(0.02, lever_m)
+    yield from kitchen.go(astride.shifted(y=-0.10), REACH)
+    yield from kitchen.go(astride, TOUCH)
     done = yield from kitchen.move(push, WORK, until=lambda: kitchen.joint(joint) < turned_rad)
     yield from kitchen.go(kitchen.here(push()).shifted(x=-0.02, y=-0.10), LEAVE)
     return done

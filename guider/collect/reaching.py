@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 STEP_S = 0.08
-# An action of 1 puts the servo's set point 2 rad/s * 0.08 s ahead of the joint.
-SET_POINT_RANGE = 0.16
+# An action of 1 puts the servo's set point 2 rad/s (the fingers': 2 m/s) times STEP_S ahead of the joint.
+SET_POINT_RANGE = 2.0 * STEP_S
 # Against its own damping the arm covers about half of the way to the set point within a step.
 SERVO_SHARE = 0.5
 SERVO_GAINS = np.array([870.0, 870.0, 870.0, 870.0, 120.0, 120.0, 120.0])  # Nm/rad
@@ -23,6 +23,7 @@ SERVO_GAINS = np.array([870.0, 870.0, 870.0, 870.0, 120.0, 120.0, 120.0])  # Nm/
 # ever harder.
 LOAD_SHARE = 0.7
 LOAD_LIMITS = np.array([40.0, 40.0, 40.0, 40.0, 6.0, 6.0, 6.0])  # Nm
+# Shares of what is missing that a step makes up for.
 POSITION_GAIN = 0.9
 ROTATION_GAIN = 0.5
 TURN_LIMIT_RAD_S = 1.5

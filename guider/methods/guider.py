@@ -27,6 +27,7 @@ from guider.samplers import (
     Data,
     HighBatch,
     LowBatch,
+    MoveWithin,
     device_data,
     sample_high,
     sample_low,
@@ -50,8 +51,10 @@ class GuiderConfig:
     boundary: Boundary = "clip"
     """c-step windows that would leave their episode end at its last state (clip), or are not used (drop)."""
     minimum_move: float = 0.0
-    """Learn, at both levels, only where the next c steps end this far from their start or further (goal units), so
-    that idle stretches do not shape the prior (departure; 0 keeps all)."""
+    """Learn, at both levels, only where s^G moves this far or further (goal units), so that idle stretches do not shape
+    prior and policies (departure; 0 keeps all)."""
+    move_within: MoveWithin = "period"
+    """Where it has to: from here to c steps on, or from the episode's first state to any other of it."""
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     final_goal_substitution: bool = False
@@ -83,7 +86,7 @@ class GuiderState(NamedTuple):
 
 def prepare(config: GuiderConfig, episodes: Episodes) -> tuple[Data, Scale]:
     """Data on the device and the scaling it implies."""
-    data = device_data(episodes, config.period_steps, config.boundary, config.minimum_move)
+    data = device_data(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
     if not config.normalise:
         return data, unit_scale(config, episodes.spaces)
     return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps, config.position_waves)

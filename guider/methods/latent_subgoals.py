@@ -39,7 +39,7 @@ class LatentSubgoalsConfig:
     relative: bool = False
     """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
     error_in_spreads: bool = False
-    """Count the squared error in spreads of the data's c-step moves, so that one beta suits any goal units (departure)."""
+    """Count the squared error in spreads of the data's c-step moves: one beta for all goal units (departure)."""
 
     def __post_init__(self) -> None:
         check_networks(self)

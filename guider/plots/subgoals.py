@@ -51,6 +51,6 @@ def _prior_samples(policy: Policy, achieved: jax.Array, count: int) -> jax.Array
 
 def data_outcomes(logged: Episodes, config: guider.GuiderConfig) -> tuple[np.ndarray, np.ndarray]:
     """s^G at both ends of every c-step window that training draws from, [W, G] each."""
-    rows = window_starts(logged, config.period_steps, config.boundary, config.minimum_move)
+    rows = window_starts(logged, config.period_steps, config.boundary, config.minimum_move, config.move_within)
     later = np.minimum(rows + config.period_steps, logged.last_rows[rows])
     return logged.achieved[rows], logged.achieved[later]

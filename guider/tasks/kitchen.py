@@ -9,10 +9,9 @@ the task's four subtasks whose joints come within 0.3 of their goal at some step
 
 from __future__ import annotations
 
-from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import partial
-from io import StringIO
+from importlib.metadata import version
 from typing import Any
 
 import mujoco
@@ -21,8 +20,8 @@ import numpy as np
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
 from guider.data.d4rl import kitchen_states
 from guider.data.store import Recording
-from guider.errors import GuiderError
 from guider.tasks.gym_env import GymVectorEnv
+from guider.tasks.gymnasium_tasks import make_gymnasium
 from guider.tasks.simulation import available_cores
 from guider.tasks.types import Collector, Report, Task, VectorEnv
 
@@ -61,15 +60,8 @@ def goal_vector(subtasks: tuple[str, ...]) -> tuple[float, ...]:
 
 
 def make_simulator() -> Any:
-    """Gymnasium-Robotics' kitchen with all its subtasks; it goes on when they are done."""
-    try:
-        with redirect_stderr(StringIO()):  # where the package prints notices about other environments
-            from gymnasium_robotics.envs.franka_kitchen.kitchen_env import KitchenEnv
-    except ImportError as error:
-        raise GuiderError(
-            f'kitchen tasks run on Gymnasium-Robotics: pip install "guider-rl[robotics]" ({error})'
-        ) from error
-    return KitchenEnv(terminate_on_tasks_completed=False)
+    """Gymnasium-Robotics' KitchenEnv with all its subtasks; it goes on when they are done."""
+    return make_gymnasium("FrankaKitchen-v1", terminate_on_tasks_completed=False).unwrapped
 
 
 def make_env(goal: tuple[float, ...], count: int) -> VectorEnv:
@@ -98,6 +90,7 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
         radius=RADIUS,
         solved_only=data == "complete",
     )
+    robotics, physics = version("gymnasium-robotics"), mujoco.__version__
     return Task(
         name=f"kitchen-{data}",
         summary=f"a robot arm sees to {', '.join(subtasks[:3])} and {subtasks[3]}",
@@ -112,7 +105,7 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
         period_steps=40,
         latent_dim=8,
         score="subtasks",
-        environment=f"FrankaKitchen-v1 of Gymnasium-Robotics in MuJoCo {mujoco.__version__}",
+        environment=f"FrankaKitchen-v1 of Gymnasium-Robotics {robotics} in MuJoCo {physics}",
         source="D4RL kitchen",
         make_env=partial(make_env, goal),
         copies=10,  # 80 MB and 0.2 s to build, each
