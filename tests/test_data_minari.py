@@ -16,7 +16,6 @@ from guider.errors import GuiderError
 
 @pytest.fixture
 def minari_root(tmp_path, monkeypatch) -> Path:
-    pytest.importorskip("minari", reason="the minari extra is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     return tmp_path / "minari"
 
@@ -149,3 +148,11 @@ def test_minari_that_cannot_be_read(minari_root):
     file.write_bytes(file.read_bytes()[:500])
     with pytest.raises(GuiderError, match="damaged or cut off"):
         load("minari:test/short-v0", GOAL)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_kitchen_becomes_states_of_30(minari_root):
+    rows = np.arange(59.0) + np.arange(5.0)[:, None] / 8
+    write_minari("test/kitchen-v0", [rows], [np.zeros((4, 9))])
+    episodes = load("minari:test/kitchen-v0", tuple(range(9, 30)))
+    np.testing.assert_array_equal(episodes.observations, np.concatenate([rows[:, :9], rows[:, 18:39]], axis=1))

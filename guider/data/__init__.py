@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from guider.data.catalogue import MINARI_PREFIX
-from guider.data.d4rl import KITCHEN_ACTIONS, KITCHEN_COLUMNS, read_d4rl, read_d4rl_kitchen
+from guider.data.d4rl import KITCHEN_ACTIONS, KITCHEN_COLUMNS, kitchen_states, read_d4rl, read_d4rl_kitchen
 from guider.data.describe import describe
 from guider.data.minari import dataset_directory, read_minari
 from guider.data.ogbench import read_ogbench
@@ -47,7 +48,7 @@ def load(
         wgcsl         a pickle; it is read without unpickling
         plain         the file holds `lengths` or `episode_ends`
         ogbench       npz with `terminals` but no `timeouts`
-        d4rl-kitchen  `terminals` or `timeouts`, 9 actions and 59 or 60 numbers a row: terminals end episodes
+        d4rl-kitchen  `terminals` or `timeouts`, 9 actions and 30, 59 or 60 numbers a row: terminals end episodes
         d4rl          any other file with `terminals` or `timeouts`: timeouts and jumps end episodes
     action_low, action_high: bounds of a valid action; where None, those the source states, else inferred
 
@@ -77,11 +78,12 @@ def _read(name: str, goal_indices: tuple[int, ...], format: str | None) -> Recor
     if is_id or directory is not None or format == "minari":
         if format not in (None, "minari"):
             raise GuiderError(f"{name}: a Minari dataset, which cannot be read as {format}")
-        if is_id:
-            return read_minari(name, name.removeprefix(MINARI_PREFIX), goal_indices)
-        if directory is None:
+        if directory is None and not is_id:
             raise GuiderError(f"{name}: no Minari dataset here (a directory with data/main_data.hdf5)")
-        return read_minari(name, directory, goal_indices)
+        recording = read_minari(name, directory or name.removeprefix(MINARI_PREFIX), goal_indices)
+        if (recording.observations.shape[1], recording.actions.shape[1]) == (59, KITCHEN_ACTIONS):
+            return replace(recording, observations=kitchen_states(recording.observations))
+        return recording
     if path.is_dir():
         raise GuiderError(f"{name}: a directory, but not a Minari dataset's; name a file in it")
     if format == "wgcsl" or (format is None and is_pickle(path)):
