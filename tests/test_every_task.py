@@ -33,6 +33,7 @@ def test_record_train_and_evaluate(name, tmp_path, monkeypatch):
     task = TASKS[name]
     if task.collector is None:
         pytest.skip("its data comes from files only")
+    monkeypatch.setattr("guider.tasks.fetch.available_cores", lambda: 1)  # more than one takes seconds to start
     recording = task.collector.record(110, 0, lambda done, total: None)
     assert np.isfinite(recording.observations).all() and len(recording.observations) == 110
     write_d4rl(tmp_path / "data.hdf5", recording, task.goal_indices, task.radius, task.goal_parts)
