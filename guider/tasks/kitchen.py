@@ -102,7 +102,7 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
         radius=RADIUS,
         reach_radius=RADIUS,
         horizon_steps=HORIZON_STEPS,
-        period_steps=70,
+        period_steps=40,
         latent_dim=8,
         score="subtasks",
         environment=f"FrankaKitchen-v1 of Gymnasium-Robotics {robotics} in MuJoCo {physics}",
