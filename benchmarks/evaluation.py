@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.common import print_table, ratios, show_ratio, verdict
 from guider.episodes import Spaces
-from guider.evaluation import MAX_COPIES, rollout
+from guider.evaluation import rollout
 from guider.methods import guider
 from guider.policy import Policy
 from guider.presets import Problem, guider_config
@@ -65,14 +65,14 @@ def recorded_actions(policy: Policy, task: Task) -> np.ndarray:
         recorders.append(Recorder(task.make_env(count)))
         return recorders[-1]
 
-    rollout(policy, replace(task, make_env=make_env), MAX_COPIES, 0)
+    rollout(policy, replace(task, make_env=make_env), task.copies, 0)
     return np.stack(recorders[0].actions)
 
 
 def rollout_rate(policy: Policy, task: Task) -> float:
     """Environment steps per second of `rollout`, all of it: making the environments, resets, the policy."""
     began = time.perf_counter()
-    outcome = rollout(policy, task, MAX_COPIES, 0)
+    outcome = rollout(policy, task, task.copies, 0)
     return int(outcome.steps.sum()) / (time.perf_counter() - began)
 
 
@@ -101,7 +101,7 @@ def measure(name: str, steps: int, rounds: int) -> dict[str, Any]:
         rates["random actions"].append(stepping_rate(drawn, task))
         rates["same actions"].append(stepping_rate(replayed, task))
     return {
-        "copies": MAX_COPIES,
+        "copies": full.copies,
         "steps": task.horizon_steps,
         "rates": rates,
         "median_rates": {contender: statistics.median(values) for contender, values in rates.items()},
@@ -132,7 +132,7 @@ def main() -> None:
         for name, result in results.items()
     ]
     header = ("task", "rollout /s", "random actions /s", "same actions /s", "to random", "to same", "")
-    print_table(f"Environment steps per second, {MAX_COPIES} copies", header, rows)
+    print_table("Environment steps per second, all copies", header, rows)
 
 
 if __name__ == "__main__":

@@ -116,9 +116,9 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
         on_step(step + 1)
         if not active.any():
             break
-    success = parts_met.all(axis=1) if task.score == "subtasks" else steps_met > 0
+    success = np.all(parts_met, axis=1) if task.score == "subtasks" else np.asarray(steps_met > 0)
     score = {"success": 100.0 * success, "return": 1.0 * steps_met, "subtasks": 100.0 * parts_met.mean(axis=1)}
-    lengths = np.full(env.count, step + 1) if task.score == "return" else steps
+    lengths = np.full(env.count, task.horizon_steps) if task.score == "return" else steps
     traces = _traces(history, success, lengths, goal, policy.config.period_steps)
     return Rollouts(score[task.score], success, steps, traces)
 
