@@ -37,8 +37,10 @@ _MANIPULATION = {
     "low.relabel_fraction": 0.8,
     "low.random_goal_fraction": 0.0,
 }
+_IN_METRES = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: dict[str | None, dict[str, Any]] = {
-    "antmaze": {"latent.error_in_spreads": False, "latent.beta": 1.0},
+    "antmaze": _IN_METRES,
+    "pointmaze": _IN_METRES,
     "fetch": _MANIPULATION | {"high.updates": 2_500, "low.updates": 8_000},
     "kitchen": _MANIPULATION | {"high.updates": 4_000, "low.updates": 20_000},
 }
