@@ -23,10 +23,10 @@ from guider.policy import Agent, Policy
 from guider.presets import Preset, Problem, guider_config
 from guider.runs import Pace, Run, RunSpec
 from guider.tasks import Task, find_task
+from guider.tasks.types import SCORE_UNITS
 from guider.training import Chunk
 
 DEFAULT_PACE = Pace()
-SCORE_UNITS = {"success": "success (%)", "return": "steps with the goal met", "subtasks": "subtasks done (%)"}
 TUNING_SEED = 1_000_000
 """Evaluation episodes during training use seeds from here on, those of `evaluate` start at 0: choices made
 while watching curves never saw the episodes of the score."""
@@ -72,10 +72,10 @@ def train(
         raise GuiderError(f"there is no method {method!r}; there is {', '.join(METHODS)}")
     if fixed := {"radius", "reach_radius", "period_steps", "goal_parts"} & set(settings or {}):
         raise GuiderError(f"{fixed.pop()} is no setting: the task, or an option of its own, decides it")
-    if data is None:
-        hint = f"make some with `guider collect {task} --out FILE`" if task and find_task(task).collector else "a file"
-        raise GuiderError(f"no data given: name it with --data ({hint})")
     benchmark = None if task is None else find_task(task)
+    if data is None:
+        hint = f"make some with `guider collect {task} --out FILE`" if benchmark and benchmark.collector else "a file"
+        raise GuiderError(f"no data given: name it with --data ({hint})")
     goal_indices = _goal_indices(benchmark, data, goal_indices, radius)
     episodes = _episodes(data, goal_indices, format)
     if benchmark is not None:

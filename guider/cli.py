@@ -170,7 +170,7 @@ def tasks(task: tyro.conf.Positional[str | None] = None, as_json: Json = False) 
 
 
 def _task_facts(task: Any) -> dict[str, Any]:
-    from guider.api import SCORE_UNITS
+    from guider.tasks.types import SCORE_UNITS
 
     return {
         "task": task.name,

@@ -104,7 +104,7 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
                 )
             )
         observation = env.step(np.asarray(actions), active)
-        distances = np.stack(part_distances(observation[:, goal_indices], goal, task.goal_parts), axis=1)
+        distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
         met = active[:, None] & (distances <= task.radius)
         parts_met |= met
         steps_met += met.all(axis=1)

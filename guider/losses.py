@@ -18,8 +18,7 @@ def goal_reward(achieved: jax.Array, goal: jax.Array, radius: float, parts: Part
     r = 0 if ||s^G - g||_2 < radius else -1, in goal units; of a goal with several parts, the sum over them.
     achieved, goal: [B, D]. Returns [B].
     """
-    distances = part_distances(achieved, goal, parts)
-    return jnp.stack([jnp.where(distance < radius, 0.0, -1.0) for distance in distances]).sum(axis=0)
+    return jnp.where(part_distances(achieved, goal, parts) < radius, 0.0, -1.0).sum(axis=-1)
 
 
 def gaussian_kl(p: Gaussian, q: Gaussian) -> jax.Array:

@@ -24,14 +24,21 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from guider.collect.ant_walker import VIEW_DIM, rotations, walker_view
-from guider.tasks.antmaze import FRAME_SKIP, INITIAL_QPOS, RESET_QPOS_RANGE, RESET_QVEL_SPREAD, TIMESTEP_S, ant_model
+from guider.tasks.antmaze import (
+    ACTION_NOISE_SPREAD,
+    FRAME_SKIP,
+    INITIAL_QPOS,
+    RESET_QPOS_RANGE,
+    RESET_QVEL_SPREAD,
+    TIMESTEP_S,
+    ant_model,
+)
 from guider.tasks.mazes import Maze
 from guider.tasks.simulation import MujocoVectorEnv, Start
 
 COPIES = 16
 EPISODE_STEPS = 500
 TURN_CHANCE = 1 / 30
-ACTION_NOISE = 0.2
 TOP_SPEED_M_PER_S = 2.0
 HIDDEN = (256, 256)
 OPEN_FIELD = Maze("field", ("00", "00"), 4.0, (0, 0))
@@ -73,7 +80,7 @@ class WalkingAnts(VecEnv):
         return self._views()
 
     def step_async(self, actions):
-        self.actions = np.clip(actions + ACTION_NOISE * self.rng.standard_normal(actions.shape), -1, 1)
+        self.actions = np.clip(actions + ACTION_NOISE_SPREAD * self.rng.standard_normal(actions.shape), -1, 1)
 
     def step_wait(self):
         before = self.states[:, :2].copy()

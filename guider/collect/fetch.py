@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 
 import gymnasium
 import numpy as np
 
 from guider.collect.fetch_experts import ACTION_DIM, Expert
+from guider.collect.processes import map_in_processes
 from guider.data.store import Recording, lengths_from_ends
 from guider.errors import GuiderError
 
@@ -55,7 +53,7 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     recorded = []
     done = 0
     report(0, steps)
-    with _map_in_processes(min(cores, len(batches))) as map_batches:
+    with map_in_processes(min(cores, len(batches))) as map_batches:
         for batch in map_batches(partial(_record_episodes, recipe, seed), batches, [by_expert[b] for b in batches]):
             recorded.append(batch)
             done += len(batch[0])
@@ -69,17 +67,6 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
 def experts_episodes(episodes: int, share: float, seed: int) -> np.ndarray:
     """[episodes] bool: which are the expert's. `share` of them, rounded, in an order shuffled by the seed."""
     return np.random.default_rng(seed).permutation(np.arange(episodes) < round(share * episodes))
-
-
-@contextmanager
-def _map_in_processes(processes: int) -> Iterator[Callable]:
-    """`map`, in that many processes; in this one if that is 1."""
-    if processes == 1:
-        yield map
-        return
-    # Spawned, not forked: the parent may run threads.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        yield pool.map
 
 
 def _record_episodes(recipe: Recipe, seed: int, numbers: np.ndarray, by_expert: np.ndarray) -> tuple[np.ndarray, ...]:

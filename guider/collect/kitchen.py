@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
 from guider.collect.kitchen_demos import EPISODE_STEPS, Chain, demonstrate
+from guider.collect.processes import map_in_processes
 from guider.data.store import Recording, lengths_from_ends
 from guider.errors import GuiderError
 from guider.goals import Parts, part_distances
@@ -85,12 +84,11 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     demos: list[tuple[np.ndarray, np.ndarray]] = []
     number, rows = 0, 0
     report(0, steps)
-    # Spawned, not forked: the parent may run threads.
-    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+    with map_in_processes(cores) as map_batches:
         while rows < steps:
             missing = -(-(steps - rows) // (EPISODE_STEPS + 1))  # demonstrations, at least: none is made in vain
             batches = np.array_split(number + np.arange(missing), max(cores, -(-missing // DEMOS_AT_ONCE)))
-            for batch in pool.map(make, [batch for batch in batches if len(batch) > 0]):
+            for batch in map_batches(make, [batch for batch in batches if len(batch) > 0]):
                 demos += batch
                 rows += sum(len(states) for states, _ in batch)
                 report(min(rows, steps), steps)
@@ -118,8 +116,8 @@ def _demonstrations(recipe: Recipe, seed: int, numbers: np.ndarray) -> list[tupl
 def solved_rows(recipe: Recipe, states: np.ndarray) -> int:
     """[T, 30] states -> rows up to the one that does the last part of the goal; 0 if a part is never done."""
     distances = part_distances(states[:, list(recipe.goal_indices)], np.array(recipe.goal), recipe.goal_parts)
-    done = np.stack(distances) <= recipe.radius
-    return int(done.argmax(axis=1).max()) + 1 if done.any(axis=1).all() else 0
+    done = distances <= recipe.radius
+    return int(done.argmax(axis=0).max()) + 1 if done.any(axis=0).all() else 0
 
 
 def _join(demos: list[tuple[np.ndarray, np.ndarray]], steps: int, goal: tuple[float, ...]) -> Recording:

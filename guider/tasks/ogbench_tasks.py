@@ -17,14 +17,13 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
 from guider.tasks.antmaze import ant_model
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.mazes import Maze, make_maze
 from guider.tasks.replay import check_replay
-from guider.tasks.types import Task
+from guider.tasks.types import Task, accept
 
 CELL_SIZE_M = 4.0
 NOISE_M = 1.0
@@ -89,14 +88,10 @@ class Robot:
     model: Callable[[Maze], mujoco.MjModel] | None = None
 
 
-def _accept(episodes: Episodes) -> None:
-    """Data that cannot be replayed is taken as it is."""
-
-
 def _task(robot: Robot, maze: Maze, horizon_steps: int) -> Task:
     env_id = f"{robot.name}-{maze.name}-v0"
     environment = f"OGBench {env_id} in MuJoCo {mujoco.__version__}, 4 m cells"
-    check_data = _accept
+    check_data = accept
     if robot.model is not None:
         check_data = partial(check_replay, partial(robot.model, maze), ANT_FRAME_SKIP, environment)
     return Task(

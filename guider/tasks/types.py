@@ -21,6 +21,8 @@ return:   number of steps after which the goal is met; the episode runs to the h
 subtasks: 100 times the share of the goal's parts met after some step; the episode ends with the last of them
 """
 
+SCORE_UNITS = {"success": "success (%)", "return": "steps with the goal met", "subtasks": "subtasks done (%)"}
+
 Report = Callable[[int, int], None]
 """report(done, total): progress of long work."""
 
@@ -61,6 +63,10 @@ class Collector:
     record: Callable[[int, int, Report], Recording]
     steps: int
     recipe: str
+
+
+def accept(episodes: Episodes) -> None:
+    """The check of data that nothing is known to be wrong with."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,6 @@ class Task:
     goal_parts: Parts = ()
     copies: int = 100
     collector: Collector | None = None
-    check_data: Callable[[Episodes], None] = lambda episodes: None
+    check_data: Callable[[Episodes], None] = accept
     maze: Maze | None = None
     paper_score: float | None = None
