@@ -8,12 +8,11 @@ import numpy as np
 from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.methods import goal_policy
-from guider.methods.guider import high_inputs, low_inputs, propose_subgoal
+from guider.methods.guider import high_inputs, learned_windows, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.subgoal_policy import propose
 from guider.networks import twin_values
 from guider.policy import Policy
-from guider.samplers import window_starts
 
 MAX_ROWS = 20_000
 INSIDE_95 = 1.959964
@@ -35,7 +34,7 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
     """
     config, state = policy.config, policy.state
     last = episodes.last_rows
-    rows = window_starts(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
+    rows = learned_windows(config, episodes)
     if len(rows) == 0:
         raise GuiderError(f"no held-out episode holds a window of {config.period_steps} steps to score")
     rng = np.random.default_rng(0)

@@ -32,6 +32,7 @@ from guider.samplers import (
     sample_high,
     sample_low,
     sample_windows,
+    window_starts,
 )
 from guider.training import Stage
 
@@ -90,6 +91,11 @@ def prepare(config: GuiderConfig, episodes: Episodes) -> tuple[Data, Scale]:
     if not config.normalise:
         return data, unit_scale(config, episodes.spaces)
     return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps, config.position_waves)
+
+
+def learned_windows(config: GuiderConfig, episodes: Episodes) -> np.ndarray:
+    """[W] rows of `episodes` that start a c-step window which training draws from."""
+    return window_starts(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
 
 
 def unit_scale(config: GuiderConfig, spaces: Spaces) -> Scale:

@@ -12,7 +12,6 @@ from guider.episodes import Episodes
 from guider.methods import guider, latent_subgoals
 from guider.networks import twin_values
 from guider.policy import Policy
-from guider.samplers import window_starts
 
 
 def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -51,6 +50,6 @@ def _prior_samples(policy: Policy, achieved: jax.Array, count: int) -> jax.Array
 
 def data_outcomes(logged: Episodes, config: guider.GuiderConfig) -> tuple[np.ndarray, np.ndarray]:
     """s^G at both ends of every c-step window that training draws from, [W, G] each."""
-    rows = window_starts(logged, config.period_steps, config.boundary, config.minimum_move, config.move_within)
+    rows = guider.learned_windows(config, logged)
     later = np.minimum(rows + config.period_steps, logged.last_rows[rows])
     return logged.achieved[rows], logged.achieved[later]
