@@ -12,7 +12,9 @@ import numpy as np
 from guider.episodes import Episodes, make_episodes
 from guider.methods import guider
 from guider.methods.guider import GuiderConfig
-from guider.presets import Preset, Problem, guider_config
+from guider.methods.view import prepare
+from guider.presets import Preset, guider_config
+from guider.problem import Problem
 from guider.training import compile_chunk, init_seeds, seed_keys
 
 STAGES = ("latent", "high", "low")
@@ -49,7 +51,7 @@ def antmaze_episodes(episodes: int = 200, rows: int = 1001) -> Episodes:
 def trainer(config: GuiderConfig, stage: str, episodes: Episodes, seeds: Sequence[int] = (0,)) -> Run:
     """run(updates): the stage's next updates for all seeds, in the compiled loop that training uses."""
     index = STAGES.index(stage)
-    data, scale = guider.prepare(config, episodes)
+    data, scale = prepare(config.view, config.problem, episodes)
     keys = seed_keys(seeds)
     state = init_seeds(lambda key: guider.init(config, episodes.spaces, scale, key), seeds)
     chunk = compile_chunk(guider.stages(config)[index], index)

@@ -20,8 +20,10 @@ from benchmarks.common import print_table, ratios, show_ratio, verdict
 from guider.episodes import Spaces
 from guider.evaluation import rollout
 from guider.methods import guider
+from guider.methods.view import unit_scale
 from guider.policy import Policy
-from guider.presets import Problem, guider_config
+from guider.presets import guider_config
+from guider.problem import Problem
 from guider.tasks import Task, find_task
 from guider.tasks.types import VectorEnv
 
@@ -52,7 +54,7 @@ def untrained_policy(task: Task) -> Policy:
     """The preset `fast` at full size, fresh from its initial draw."""
     config = guider_config("fast", Problem(task.radius, task.reach_radius, task.period_steps))
     spaces = Spaces(task.state_dim, task.goal_indices, (-1.0,) * task.action_dim, (1.0,) * task.action_dim)
-    state = guider.init(config, spaces, guider.unit_scale(config, spaces), jax.random.key(0))
+    state = guider.init(config, spaces, unit_scale(config.view, spaces), jax.random.key(0))
     bounds = jnp.asarray(spaces.action_low), jnp.asarray(spaces.action_high)
     return Policy(state, *bounds, "guider", config, task.goal_indices, task.state_dim)
 

@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from guider.methods.goal_policy import GoalPolicyConfig
-from guider.methods.guider import GuiderConfig
+from guider.learners import AwrConfig
+from guider.methods.guider import GoalPolicyConfig, GuiderConfig
 from guider.networks import LOG_STD_RANGE
 from guider.samplers import Data
 
@@ -171,7 +171,7 @@ class LatentModel:
     def update(self, data: TorchData) -> None:
         settings = self.config.latent
         rows = choose(data.window_rows, settings.batch_size)
-        later = torch.minimum(rows + self.config.period_steps, data.last_row[rows])
+        later = torch.minimum(rows + self.config.problem.period_steps, data.last_row[rows])
         noise = torch.randn(settings.batch_size, settings.latent_dim)
         loss = self.loss(data.achieved[rows], data.achieved[later], noise)
         minimise(loss, self.networks, self.optimisers)
@@ -277,7 +277,7 @@ class SubgoalPolicy:
         settings = self.config.high
         rows = choose(data.window_rows, settings.batch_size)
         last = data.last_row[rows]
-        later_rows = torch.minimum(rows + self.config.period_steps, last)
+        later_rows = torch.minimum(rows + self.config.problem.period_steps, last)
         goal = hindsight_goals(data, later_rows + settings.goal_offset, last, settings.relabel_fraction)
         achieved, later = data.achieved[rows], data.achieved[later_rows]
         with torch.no_grad():
@@ -286,7 +286,7 @@ class SubgoalPolicy:
         return SubgoalBatch(
             state=torch.cat([achieved, goal], -1),
             latent=posterior.sample(torch.randn_like(posterior.mean)),
-            reward=goal_reward(later, goal, self.config.radius),
+            reward=goal_reward(later, goal, self.config.problem.radius),
             next_state=torch.cat([later, goal], -1),
             prior=prior,
         )
@@ -300,7 +300,7 @@ def _values(critic: nn.Module, state: Tensor, latents: Tensor) -> Tensor:
 
 
 class GoalBatch(NamedTuple):
-    """guider.methods.goal_policy.Transitions as tensors."""
+    """guider.learners.Transitions as tensors."""
 
     state: Tensor
     action: Tensor
@@ -312,7 +312,8 @@ class GoalPolicy:
     """The low level (Eq. 5-6)."""
 
     def __init__(self, config: GuiderConfig, state_dim: int, goal_dim: int, action_dim: int):
-        self.config = config
+        assert isinstance(config.low.learner, AwrConfig), "Guider's own low level"
+        self.config, self.learner = config, config.low.learner
         settings: GoalPolicyConfig = config.low
         input_dim = state_dim + 2 * goal_dim
         critic_sizes = (input_dim + action_dim, *settings.hidden, 1)
@@ -325,7 +326,7 @@ class GoalPolicy:
 
     def loss(self, batch: GoalBatch) -> Tensor:
         """TD error of both critics plus the actor's weighted regression; neither has a gradient for the other."""
-        settings = self.config.low
+        settings = self.learner
         with torch.no_grad():
             next_inputs = torch.cat([batch.next_state, self.actor(batch.next_state).tanh()], -1)
             next_value = torch.minimum(*(target(next_inputs)[:, 0] for target in self.targets))
@@ -344,19 +345,19 @@ class GoalPolicy:
 
     def update(self, data: TorchData) -> None:
         minimise(self.loss(self._sample(data)), self.networks, self.optimisers)
-        move_targets(self.targets, self.critics, self.config.low.target_rate)
+        move_targets(self.targets, self.critics, self.learner.target_rate)
 
     def _sample(self, data: TorchData) -> GoalBatch:
         settings = self.config.low
         rows = choose(data.transition_rows, settings.batch_size)
         last = data.last_row[rows]
-        longest = self.config.period_steps + settings.subgoal_slack_steps
+        longest = self.config.problem.period_steps + settings.subgoal_slack_steps
         subgoal_rows = draw_between(rows + 1, torch.minimum(rows + longest, last))
         subgoal = data.achieved[subgoal_rows]
         goal = hindsight_goals(data, subgoal_rows, last, settings.relabel_fraction)
         return GoalBatch(
             state=torch.cat([data.observations[rows], subgoal, goal], -1),
             action=data.actions[rows],
-            reward=goal_reward(data.achieved[rows + 1], subgoal, self.config.radius),
+            reward=goal_reward(data.achieved[rows + 1], subgoal, self.config.problem.radius),
             next_state=torch.cat([data.observations[rows + 1], subgoal, goal], -1),
         )

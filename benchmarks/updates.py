@@ -34,6 +34,7 @@ from benchmarks.common import (
 from guider.episodes import Episodes, Spaces
 from guider.methods import guider, subgoal_policy
 from guider.methods.guider import GuiderConfig
+from guider.methods.view import prepare, unit_scale
 from guider.networks import Layers, mlp
 from guider.tasks.simulation import available_cores
 
@@ -75,7 +76,7 @@ def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
     low: both critics and the actor are trained on B rows; forward go both target critics, the actor on next
         states, and both critics on the actor's actions.
     """
-    scale = guider.unit_scale(config, spaces)
+    scale = unit_scale(config.view, spaces)
     state = jax.eval_shape(lambda key: guider.init(config, spaces, scale, key), jax.random.key(0))
     encoder, decoder, prior = map(layer_sizes, state.latent.params)
     if stage == "latent":
@@ -100,7 +101,7 @@ def torch_trainer(config: GuiderConfig, stage: str, episodes: Episodes) -> Run:
     from benchmarks.torch_updates import GoalPolicy, LatentModel, SubgoalPolicy, torch_data
 
     torch.set_num_threads(available_cores())
-    data = torch_data(guider.prepare(config, episodes)[0])
+    data = torch_data(prepare(config.view, config.problem, episodes)[0])
     spaces = episodes.spaces
     makers: dict[str, Callable[[], LatentModel | SubgoalPolicy | GoalPolicy]] = {
         "latent": lambda: LatentModel(config, spaces.goal_dim),

@@ -18,9 +18,9 @@ from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.heldout import held_out_scores
-from guider.methods import METHODS
 from guider.policy import Agent, Policy
-from guider.presets import Preset, Problem, guider_config
+from guider.presets import Preset, preset_config
+from guider.problem import Problem
 from guider.runs import Pace, Run, RunSpec
 from guider.tasks import Task, find_task
 from guider.tasks.types import SCORE_UNITS
@@ -68,10 +68,8 @@ def train(
     """
     seeds = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
     _check_seeds(seeds)
-    if method not in METHODS:
-        raise GuiderError(f"there is no method {method!r}; there is {', '.join(METHODS)}")
-    if fixed := {"radius", "reach_radius", "period_steps", "goal_parts"} & set(settings or {}):
-        raise GuiderError(f"{fixed.pop()} is no setting: the task, or an option of its own, decides it")
+    if fixed := [name for name in settings or {} if name.startswith("problem.")]:
+        raise GuiderError(f"{fixed[0]} is no setting: the task, or an option of its own, decides it")
     benchmark = None if task is None else find_task(task)
     if data is None:
         hint = f"make some with `guider collect {task} --out FILE`" if benchmark and benchmark.collector else "a file"
@@ -86,7 +84,7 @@ def train(
         problem = Problem(radius, 2 * radius, max(5, round(statistics.median(episodes.lengths.tolist()) / 20)))
     chosen = {"reach_radius": reach_radius, "period_steps": period_steps}
     problem = replace(problem, **{name: value for name, value in chosen.items() if value is not None})
-    config = override(guider_config(preset, problem), settings or {})
+    config = override(preset_config(method, preset, problem), settings or {})
     held_out = (0.0 if benchmark else 0.1) if held_out is None else held_out
     if not 0 <= held_out < 1:
         raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
@@ -160,8 +158,8 @@ def evaluate(
         "method": spec.method,
         "preset": spec.preset,
         "departures": _departures(spec),
-        "period_steps": spec.config.period_steps,
-        "reach_radius": spec.config.reach_radius,
+        "period_steps": spec.config.problem.period_steps,
+        "reach_radius": spec.config.problem.reach_radius,
         "data": spec.data,
         "fingerprint": spec.fingerprint,
         "training_seeds": list(spec.seeds),
@@ -218,17 +216,13 @@ def plot(
 
 
 def _problem(task: Task) -> Problem:
-    return Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.latent_dim, task.domain)
+    return Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.domain)
 
 
 def _departures(spec: RunSpec) -> dict[str, Any]:
     """Where a run's settings depart from `paper` on its task; for one's own data radii and period are its own."""
-    config = spec.config
-    if spec.task is None:
-        problem = Problem(config.radius, config.reach_radius, config.period_steps)
-    else:
-        problem = _problem(find_task(spec.task))
-    return differences(config, guider_config("paper", problem))
+    problem = spec.config.problem if spec.task is None else _problem(find_task(spec.task))
+    return differences(spec.config, preset_config(spec.method, "paper", problem))
 
 
 def _check_seeds(seeds: tuple[int, ...]) -> None:

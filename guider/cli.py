@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -25,7 +26,7 @@ RunDirectory = tyro.conf.Positional[Path]
 def train(
     task: tyro.conf.Positional[str | None] = None,
     data: str | None = None,
-    method: Literal["guider"] = "guider",
+    method: str = "guider",
     preset: Preset = "fast",
     seeds: int = 1,
     first_seed: int = 0,
@@ -51,7 +52,8 @@ def train(
     Args:
         task: A benchmark from `guider tasks`; leave it out for your own data.
         data: HDF5 (D4RL), npz (OGBench or your own), a Minari directory or minari:ID. See `guider data inspect`.
-        method: What to train.
+        method: What to train: guider; guider-gcsl, guider-wgcsl or guider-cql (with another low level); hiql, opal; or,
+            without subgoals, bc, gcsl, wgcsl, cql-her, iql.
         preset: `fast` fits two cores; `paper` is the paper's equations and the authors' settings.
         seeds: How many agents to train at once, in one compiled program.
         first_seed: Their seeds count up from here, so that several machines can share a set of seeds.
@@ -183,7 +185,6 @@ def _task_facts(task: Any) -> dict[str, Any]:
         "reach_radius": task.reach_radius,
         "horizon_steps": task.horizon_steps,
         "period_steps": task.period_steps,
-        "latent_dim": task.latent_dim,
         "score": SCORE_UNITS[task.score],
         "data": task.collector.recipe if task.collector else None,
         "paper_score": task.paper_score,
@@ -279,6 +280,68 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
     _answer({"data": str(out), "steps": steps, "seed": seed}, f"recorded {out}", as_json)
 
 
+def reproduce(
+    target: tyro.conf.Positional[
+        Literal["table1", "table2", "table3", "figure3", "figure4", "figure5", "figure6", "figure7"]
+    ],
+    tasks: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    preset: Preset = "fast",
+    seeds: int = 4,
+    first_seed: int = 0,
+    episodes: int = 100,
+    data: Path = Path("datasets"),
+    out: Path = Path("runs/reproduce"),
+    jobs: int = 1,
+    set: tuple[str, ...] = (),
+    dry_run: bool = False,
+    report_only: bool = False,
+    as_json: Json = False,
+) -> None:
+    """Make a table or figure of the paper: record missing data, train, evaluate, report.
+
+    Runs live in OUT/runs/TASK/VARIANT-PRESET and are shared between tables and figures. What is done is skipped and
+    what was interrupted goes on, so the same command continues where the last one ended.
+
+    Args:
+        target: The table or figure.
+        tasks: These tasks in place of the paper's.
+        methods: table1, figure4 and figure6: these methods in place of the paper's.
+        preset: `fast` fits two cores; `paper` is the paper's equations and the authors' settings.
+        seeds: How many agents to train per run.
+        first_seed: Their seeds count up from here.
+        episodes: Evaluation episodes per trained seed.
+        data: Directory that holds TASK.hdf5, or a Minari dataset TASK; missing data is recorded into it.
+        out: Directory for plan, runs, logs and results.
+        jobs: Runs at a time, each on its own share of the cores.
+        set: Settings of every run by dotted name, e.g. --set low.updates=50000.
+        dry_run: Show the plan; write and run nothing.
+        report_only: Run nothing; write the table or figure of the runs there are.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider.reproduce import report, runner
+    from guider.reproduce.plans import Protocol, make_plan
+
+    protocol = Protocol(preset, seeds, first_seed, episodes, _assignments(set), data, out)
+    plan = make_plan(target, protocol, tasks, methods)
+    if dry_run:
+        described = runner.describe(plan)
+        lines = [f"{run['state']:>11}  {run['directory']}" for run in described["runs"]]
+        _answer(described, "\n".join([plan.title, *described["data_to_record"], *lines]), as_json)
+        return
+    failures = []
+    if not report_only:
+        with _plan_bar() as watch:
+            failures = runner.execute(plan, jobs, watch)
+    document, files = report.write(plan)
+    failed = [{"run": f.run.name, "reason": f.reason, "log": str(f.log)} for f in failures]
+    shown = [escape(report.table(document)), ""] if "rows" in document else []
+    _answer(document | {"failed": failed}, "\n".join([*shown, *map(str, files)]), as_json)
+    if failures:
+        what = "; ".join(f"{failure['run']}: {failure['reason']}" for failure in failed)
+        raise GuiderError(f"{len(failures)} of {len(plan.runs)} runs failed, the same command tries them again: {what}")
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "evaluate": evaluate,
@@ -286,6 +349,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "tasks": tasks,
     "data": data,
     "collect": collect,
+    "reproduce": reproduce,
 }
 
 
@@ -351,6 +415,20 @@ def _bar(description: str, unit: str):
     with _progress(TextColumn(unit)) as progress:
         bar = progress.add_task(description, total=None)
         yield lambda done, total: progress.update(bar, completed=done, total=total)
+
+
+@contextmanager
+def _plan_bar():
+    """A bar over all runs of a plan, and a line for each that ends."""
+    from guider.reproduce.runner import Watch
+
+    with _progress() as progress:
+        bar = progress.add_task("", total=None)
+
+        def show(done: float, total: int, doing: str) -> None:
+            progress.update(bar, completed=done, total=total, description=doing)
+
+        yield Watch(lambda line: progress.console.print(line, highlight=False, markup=False, soft_wrap=True), show)
 
 
 @contextmanager

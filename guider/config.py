@@ -107,6 +107,15 @@ def _parse(text: str) -> Any:
         return text
 
 
+def _of_kind(options: list[Any], value: Any, where: str) -> Any:
+    """The config among several whose `kind` the value names."""
+    kinds = {get_args(get_type_hints(option)["kind"])[0]: option for option in options}
+    kind = value.get("kind") if isinstance(value, dict) else value
+    if kind not in kinds:
+        raise GuiderError(f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}")
+    return kinds[kind]
+
+
 def _convert(hint: Any, value: Any, where: str) -> Any:
     """`value` as JSON or a command line gives it, as the type the hint names."""
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
@@ -119,8 +128,8 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     elif get_origin(hint) in (Union, types.UnionType):
         if value is None and type(None) in get_args(hint):
             return None
-        (inner,) = (option for option in get_args(hint) if option is not type(None))
-        return _convert(inner, value, where)
+        options = [option for option in get_args(hint) if option is not type(None)]
+        return _convert(options[0] if len(options) == 1 else _of_kind(options, value, where), value, where)
     elif get_origin(hint) is tuple:
         if isinstance(value, list | tuple):
             return tuple(_convert(get_args(hint)[0], item, where) for item in value)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.goals import part_distances
+from guider.methods import METHODS
 from guider.policy import Policy, compiled_act, initial_state
 from guider.tasks.types import Task
 
@@ -16,7 +17,7 @@ from guider.tasks.types import Task
 @dataclass(frozen=True, eq=False)
 class Trace:
     """One episode as it went, for pictures. achieved, subgoals: [steps, G]; goal: [G]; renewed: [steps] bool,
-    True where the policy chose a new subgoal; success: the goal was met."""
+    True where the policy chose a new subgoal; success: the goal was met. Without subgoals, the goal is the only one."""
 
     achieved: np.ndarray
     subgoals: np.ndarray
@@ -92,17 +93,14 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     steps = np.full(env.count, task.horizon_steps)
     reset_mask = jnp.ones(env.count, bool)
     no_reset = jnp.zeros(env.count, bool)
+    pursued = METHODS[policy.method].pursued
     history = []
     for step in range(task.horizon_steps):
         actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
         if keep_traces:
-            history.append(
-                (
-                    observation[:keep_traces, goal_indices].copy(),
-                    np.asarray(acting.subgoal[:keep_traces]),
-                    np.asarray(acting.steps_left[:keep_traces]),
-                )
-            )
+            subgoal, renewed = pursued(policy.config, acting) if pursued else (goal, reset_mask)
+            seen = (observation[:, goal_indices], subgoal, renewed)
+            history.append([np.array(part[:keep_traces]) for part in seen])
         observation = env.step(np.asarray(actions), active)
         distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
         met = active[:, None] & (distances <= task.radius)
@@ -119,19 +117,19 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     success = np.all(parts_met, axis=1) if task.score == "subtasks" else np.asarray(steps_met > 0)
     score = {"success": 100.0 * success, "return": 1.0 * steps_met, "subtasks": 100.0 * parts_met.mean(axis=1)}
     lengths = np.full(env.count, task.horizon_steps) if task.score == "return" else steps
-    traces = _traces(history, success, lengths, goal, policy.config.period_steps)
+    traces = _traces(history, success, lengths, goal)
     return Rollouts(score[task.score], success, steps, traces)
 
 
-def _traces(history, success, steps, goal, period_steps) -> tuple[Trace, ...]:
+def _traces(history, success, steps, goal) -> tuple[Trace, ...]:
     if not history:
         return ()
-    achieved, subgoals, steps_left = (np.stack(arrays, axis=1) for arrays in zip(*history, strict=True))
+    achieved, subgoals, renewed = (np.stack(arrays, axis=1) for arrays in zip(*history, strict=True))
     return tuple(
         Trace(
             achieved=achieved[e, : steps[e]],
             subgoals=subgoals[e, : steps[e]],
-            renewed=steps_left[e, : steps[e]] == period_steps - 1,
+            renewed=renewed[e, : steps[e]],
             goal=goal[e],
             success=bool(success[e]),
         )

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from guider.episodes import Episodes
 from guider.errors import GuiderError
-from guider.methods import goal_policy
-from guider.methods.guider import high_inputs, learned_windows, low_inputs, propose_subgoal
+from guider.learners import learner
+from guider.methods import METHODS
+from guider.methods.guider import GuiderConfig, high_inputs, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.subgoal_policy import propose
+from guider.methods.view import learned_windows
 from guider.networks import twin_values
-from guider.policy import Policy
+from guider.policy import Policy, initial_state
 
 MAX_ROWS = 20_000
 INSIDE_95 = 1.959964
 
 
 def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | None]:
-    """How the three parts of a Guider policy fare on held-out episodes. Rows are c-step windows such as
-    the run learned from, at most 20,000.
+    """How a policy fares on held-out episodes. Rows are c-step windows such as the run learned from, at most 20,000.
 
-    action_error:         mean squared error of the low level's action, bounds scaled to [-1, 1], when asked for
-                          the state c steps on; `action_spread` is that of always answering with the mean action
+    action_error:         mean squared error of the action, bounds scaled to [-1, 1], when asked for the state c steps
+                          on; `action_spread` is that of always answering with the mean action
+    and, of the parts of a Guider policy,
     prior_coverage:       share of latent entries of true c-step outcomes within the prior's central 95 %
                           (0.95 if it fits; less: it has not seen such moves); `prior_coverage_shuffled` is the
                           same for outcomes taken from other places: it should be lower
@@ -32,50 +37,91 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
     value_rank:           mean over episodes of Spearman's correlation between time and the high level's value
                           of the episode's last state as goal: 1 where value rises all along
     """
-    config, state = policy.config, policy.state
+    config = policy.config
+    period_steps = config.problem.period_steps
     last = episodes.last_rows
-    rows = learned_windows(config, episodes)
+    rows = learned_windows(config.view, config.problem, episodes)
     if len(rows) == 0:
-        raise GuiderError(f"no held-out episode holds a window of {config.period_steps} steps to score")
+        raise GuiderError(f"no held-out episode holds a window of {period_steps} steps to score")
     rng = np.random.default_rng(0)
     if len(rows) > MAX_ROWS:
         rows = np.sort(rng.choice(rows, MAX_ROWS, replace=False))
-    later = np.minimum(rows + config.period_steps, last[rows])
-    achieved, outcome, final = (jnp.asarray(episodes.achieved[r]) for r in (rows, later, last[rows]))
-    observation = jnp.asarray(episodes.observations[rows])
-
-    latent = encode(config.latent, state.latent.params, state.scale, achieved, outcome).mean
-    seen = latent if config.low.subgoal_input == "latent" else outcome
-    inputs = low_inputs(config, state, observation, achieved, seen, final)
+    later = np.minimum(rows + period_steps, last[rows])
+    seen = _Seen(
+        observation=jnp.asarray(episodes.observations[rows]),
+        achieved=jnp.asarray(episodes.achieved[rows]),
+        outcome=jnp.asarray(episodes.achieved[later]),
+        final=jnp.asarray(episodes.achieved[last[rows]]),
+    )
     half_range = (episodes.action_high - episodes.action_low) / 2
     actions = (episodes.actions[rows] - (episodes.action_high + episodes.action_low) / 2) / half_range
-    action_error = np.mean((np.asarray(goal_policy.act(state.low.params, inputs)) - actions) ** 2)
+    guided = isinstance(config, GuiderConfig)
+    answers = _low_level_actions(policy, seen) if guided else _actions(policy, seen)
+    scores: dict[str, float | None] = {
+        "action_error": float(np.mean((answers - actions) ** 2)),
+        "action_spread": float(np.mean(actions.var(axis=0))),
+    }
+    return scores | _scores_of_parts(policy, seen, last[rows], rng) if guided else scores
 
+
+class _Seen(NamedTuple):
+    """Held-out windows: observation [W, S]; s^G at their start, c steps on, and at their episode's end, [W, G]."""
+
+    observation: jax.Array
+    achieved: jax.Array
+    outcome: jax.Array
+    final: jax.Array
+
+
+def _actions(policy: Policy, seen: _Seen) -> np.ndarray:
+    """[W, A] in [-1, 1], towards the state c steps on."""
+    count = len(seen.achieved)
+    act = METHODS[policy.method].act
+    begins, acting = jnp.ones(count, bool), initial_state(policy, count)
+    answers, _ = act(policy.config, policy.state, policy.goal_indices, seen.observation, seen.outcome, acting, begins)
+    return np.asarray(answers)
+
+
+def _low_level_actions(policy: Policy, seen: _Seen) -> np.ndarray:
+    """[W, A] in [-1, 1], with the state c steps on as the subgoal."""
+    config, state = policy.config, policy.state
+    subgoal = seen.outcome
+    if config.low.subgoal_input == "latent":
+        subgoal = encode(config.latent, state.latent.params, state.scale, seen.achieved, seen.outcome).mean
+    inputs = low_inputs(config, state, seen.observation, seen.achieved, subgoal, seen.final)
+    return np.asarray(learner(config.low.learner).act(state.low, inputs))
+
+
+def _scores_of_parts(
+    policy: Policy, seen: _Seen, episode: np.ndarray, rng: np.random.Generator
+) -> dict[str, float | None]:
+    """episode: [W] equal for windows of one episode."""
+    config, state = policy.config, policy.state
+    count, achieved, outcome = len(seen.achieved), seen.achieved, seen.outcome
+    latent = encode(config.latent, state.latent.params, state.scale, achieved, outcome).mean
     reachable = prior(state.latent.params, state.scale, achieved)
-    shuffled = rng.permutation(len(rows))
+    shuffled = rng.permutation(count)
     elsewhere = encode(config.latent, state.latent.params, state.scale, achieved, outcome[shuffled]).mean
 
     def coverage(z):
         return float(jnp.mean(jnp.abs(z - reachable.mean) <= INSIDE_95 * jnp.exp(reachable.log_std)))
 
-    subgoal, _ = propose_subgoal(config, state, achieved, final)
+    subgoal, _ = propose_subgoal(config, state, achieved, seen.final)
     travel = np.linalg.norm(outcome - achieved, axis=1)
     proposed_travel = np.linalg.norm(subgoal - achieved, axis=1)
-    probes = rng.choice(len(rows), min(1000, len(rows)), replace=False)
-    logged = episodes.achieved[rows]
+    probes = rng.choice(count, min(1000, count), replace=False)
+    logged = np.asarray(achieved)
     nearest = [np.linalg.norm(logged - point, axis=1).min() for point in np.asarray(subgoal)[probes]]
 
-    high = high_inputs(state.scale, achieved, final)
+    high = high_inputs(state.scale, achieved, seen.final)
     best = propose(state.high.params, high).mean
     value = np.asarray(twin_values(state.high.params.critic, high, best).min(axis=0))
     return {
-        "action_error": float(action_error),
-        "action_spread": float(np.mean(actions.var(axis=0))),
         "prior_coverage": coverage(latent),
         "prior_coverage_shuffled": coverage(elsewhere),
         "subgoal_distance": float(np.median(nearest)),
         "subgoals_in_range": float(np.mean(proposed_travel <= np.quantile(travel, 0.99))),
-        "value_rank": _mean_rank_correlation(value, last[rows]),
+        "value_rank": _mean_rank_correlation(value, episode),
     }
 
 

@@ -97,8 +97,11 @@ class Agent:
 
     @property
     def subgoal(self) -> np.ndarray:
-        """[G] the subgoal now pursued, in goal units."""
-        return np.asarray(self._state.subgoal[0])
+        """[G] the subgoal now pursued, in goal units. Raises GuiderError if the method has none."""
+        pursued = METHODS[self.policy.method].pursued
+        if pursued is None:
+            raise GuiderError(f"{self.policy.method} pursues the goal itself, without subgoals")
+        return np.asarray(pursued(self.policy.config, self._state)[0][0])
 
 
 def _vector(values: np.ndarray, size: int, name: str) -> np.ndarray:

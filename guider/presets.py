@@ -1,71 +1,74 @@
-"""The two presets. `paper` is the defaults of every config: the equations, the authors' settings and the fixes
-named in the method's files. `fast` is `paper` with the departures written out here, each a setting of its own."""
+"""The two presets of every method. `paper` is the equations and the authors' settings with the fixes named in the
+methods' files; `fast` is `paper` with the departures written out here, each a setting of its own."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 from guider.config import override
-from guider.goals import Parts
-from guider.methods.guider import GuiderConfig
+from guider.errors import GuiderError
+from guider.learners import AwrConfig, CqlConfig, GcslConfig, IqlConfig, LearnerConfig, WgcslConfig
+from guider.methods.flat import FlatConfig
+from guider.methods.guider import GoalPolicyConfig, GuiderConfig
+from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.view import ViewConfig
+from guider.problem import Problem
 
 Preset = Literal["fast", "paper"]
+Changes = dict[str, Any]
+"""Settings by dotted name."""
 
+LATENT_DIM = {"fetch": 3, "kitchen": 8}
+"""Of latent subgoals, by domain; not published but for antmaze, whose 2 all others get."""
 
-@dataclass(frozen=True)
-class Problem:
-    """What a task, or the owner of the data, settles before any method is chosen.
-
-    radius, reach_radius: goal units; period_steps: c, environment steps; goal_parts: see guider.goals;
-    latent_dim: of latent subgoals; domain: of the task, None for one's own data.
-    """
-
-    radius: float
-    reach_radius: float
-    period_steps: int
-    goal_parts: Parts = ()
-    latent_dim: int = 2
-    domain: str | None = None
-
-
-# An arm that manipulates: the goal stands still until it is touched, and where it will go is seen in the final goal.
-_MANIPULATION = {
-    "move_within": "episode",
-    "position_waves": 0,
+# A task whose goal stands still until something is touched: whether an episode moves it at all is what counts.
+_MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
+_ARM: Changes = _MANIPULATION | {
     "latent.updates": 6_000,
     "low.relabel_fraction": 0.8,
     "low.random_goal_fraction": 0.0,
 }
-_IN_METRES = {"latent.error_in_spreads": False, "latent.beta": 1.0}
-FAST_IN_DOMAIN: dict[str | None, dict[str, Any]] = {
+_IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
+FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _IN_METRES,
     "pointmaze": _IN_METRES,
-    "fetch": _MANIPULATION | {"high.updates": 2_500, "low.updates": 8_000},
-    "kitchen": _MANIPULATION | {"high.updates": 4_000, "low.updates": 20_000},
+    "fetch": _ARM | {"high.updates": 2_500, "low.updates": 8_000},
+    "kitchen": _ARM | {"high.updates": 4_000, "low.updates": 20_000},
 }
-"""Where `fast` differs between domains: domain -> settings by dotted name."""
+"""Where Guider's `fast` differs between domains."""
+
+_FLAT_ARM: Changes = _MANIPULATION | {"relabel_fraction": 1.0, "random_goal_fraction": 0.0}
+FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "fetch": _FLAT_ARM | {"updates": 12_000},
+    "kitchen": _FLAT_ARM | {"updates": 24_000},
+}
+"""The same for methods without subgoals."""
 
 
-def guider_config(preset: Preset, problem: Problem) -> GuiderConfig:
-    """Guider's settings for a problem."""
+def preset_config(method: str, preset: Preset, problem: Problem) -> Any:
+    """A method's settings for a problem. Raises GuiderError for a method that is none."""
+    if method not in _PRESETS:
+        raise GuiderError(f"there is no method {method!r}; there are {', '.join(_PRESETS)}")
+    return _PRESETS[method](preset, problem)
+
+
+def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = None) -> GuiderConfig:
+    """Guider's settings for a problem, with another learner for its low level where one is given (Figure 4)."""
     paper = GuiderConfig(
-        radius=problem.radius,
-        reach_radius=problem.reach_radius,
-        period_steps=problem.period_steps,
-        goal_parts=problem.goal_parts,
-        latent=replace(GuiderConfig().latent, latent_dim=problem.latent_dim),
+        problem=problem,
+        latent=LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", 2)),
+        low=GoalPolicyConfig(learner=low or AwrConfig()),
     )
     if preset == "paper":
         return paper
     fast = replace(
         paper,
-        boundary="drop",
-        minimum_move=problem.reach_radius,
+        view=_fast_view(problem),
         replan="reached",
         final_goal_substitution=True,
-        normalise=True,
-        position_waves=4,
         latent=replace(
             paper.latent,
             updates=12_000,
@@ -101,3 +104,37 @@ def guider_config(preset: Preset, problem: Problem) -> GuiderConfig:
         ),
     )
     return override(fast, FAST_IN_DOMAIN.get(problem.domain, {}))
+
+
+def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, changes: Changes) -> FlatConfig:
+    """Settings of a method without subgoals. changes: in both presets, where it is not FlatConfig's default."""
+    paper = override(FlatConfig(problem=problem, view=ViewConfig(normalise=True), learner=learner), changes)
+    if preset == "paper":
+        return paper
+    fast = replace(
+        paper,
+        view=_fast_view(problem),
+        updates=60_000,
+        batch_size=256,
+        learning_rate=1e-3,
+        decay=True,
+        relative=True,
+    )
+    return override(fast, FLAT_FAST_IN_DOMAIN.get(problem.domain, {}))
+
+
+def _fast_view(problem: Problem) -> ViewConfig:
+    return ViewConfig(boundary="drop", minimum_move=problem.reach_radius, normalise=True, position_waves=4)
+
+
+_PRESETS: dict[str, Callable[[Preset, Problem], Any]] = {
+    "guider": guider_config,
+    "guider-gcsl": partial(guider_config, low=GcslConfig()),
+    "guider-wgcsl": partial(guider_config, low=WgcslConfig()),
+    "guider-cql": partial(guider_config, low=CqlConfig()),
+    "bc": partial(flat_config, learner=GcslConfig(), changes={"relabel_fraction": 0.0, "future": "last"}),
+    "gcsl": partial(flat_config, learner=GcslConfig(), changes={}),
+    "wgcsl": partial(flat_config, learner=WgcslConfig(), changes={"relabel_fraction": 0.8}),
+    "cql-her": partial(flat_config, learner=CqlConfig(), changes={"relabel_fraction": 0.8}),
+    "iql": partial(flat_config, learner=IqlConfig(), changes={"relabel_fraction": 0.8}),
+}

@@ -30,10 +30,11 @@ from guider.config import from_dict, to_dict
 from guider.episodes import Episodes, Spaces
 from guider.errors import GuiderError
 from guider.methods import METHODS
+from guider.methods.view import prepare, unit_scale
 from guider.policy import Policy
 from guider.training import Chunk, Position, init_seeds, train
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None],
 def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:
     """(data on the device, input scale) of the episodes to train on. Raises GuiderError if they do not suffice."""
     training = episodes.split(spec.held_out)[0] if spec.held_out else episodes
-    return METHODS[spec.method].prepare(spec.config, training)
+    return prepare(spec.config.view, spec.config.problem, training)
 
 
 def _train(
@@ -285,5 +286,5 @@ def _drop_later_lines(path: Path, total: int) -> None:
 
 def _state_template(spec: RunSpec) -> Any:
     method = METHODS[spec.method]
-    scale = method.unit_scale(spec.config, spec.spaces)
+    scale = unit_scale(spec.config.view, spec.spaces)
     return jax.eval_shape(lambda: init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds))

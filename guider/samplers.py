@@ -17,6 +17,8 @@ from guider.errors import GuiderError
 
 Boundary = Literal["clip", "drop"]
 MoveWithin = Literal["period", "episode"]
+Future = Literal["uniform", "geometric", "last"]
+"""Which state ahead becomes a goal: any with equal chance, nearer ones rather, or the episode's last."""
 
 
 class Data(NamedTuple):
@@ -55,7 +57,7 @@ class LowBatch(NamedTuple):
     """Low-level transitions (Algorithm 1, lines 14-16).
 
     observation, next_observation: [B, S]; action: [B, A] in [-1, 1]; achieved, next_achieved: [B, G];
-    subgoal, goal: [B, G], g_sub and g_final.
+    subgoal, goal: [B, G], g_sub and g_final; subgoal_steps: [B] steps from the row to the one g_sub was taken from.
     """
 
     observation: jax.Array
@@ -64,7 +66,24 @@ class LowBatch(NamedTuple):
     achieved: jax.Array
     next_achieved: jax.Array
     subgoal: jax.Array
+    subgoal_steps: jax.Array
     goal: jax.Array
+
+
+class FlatBatch(NamedTuple):
+    """Transitions with one goal, for methods without subgoals.
+
+    observation, next_observation: [B, S]; action: [B, A] in [-1, 1]; achieved, next_achieved, goal: [B, G];
+    steps: [B] int, steps from the row to the one the goal was taken from, -1 where that is not ahead in its episode.
+    """
+
+    observation: jax.Array
+    action: jax.Array
+    next_observation: jax.Array
+    achieved: jax.Array
+    next_achieved: jax.Array
+    goal: jax.Array
+    steps: jax.Array
 
 
 def window_starts(
@@ -137,17 +156,29 @@ def _goals(
     last: jax.Array,
     relabel_fraction: float,
     random_fraction: float,
-) -> jax.Array:
+    future: Future = "uniform",
+    mean_steps: float = 1.0,
+) -> tuple[jax.Array, jax.Array]:
     """g_final for each row: a state of [first, last] of its own episode with probability `relabel_fraction`,
     a state from anywhere with `random_fraction`, else the recorded goal. Without recorded goals, the
-    remainder is relabelled too. first, last: [B] rows. Returns [B, G]."""
+    remainder is relabelled too. first, last: [B] rows; mean_steps: of geometric futures, from `first` on.
+    Returns (goals [B, G], the rows they were taken from [B], -1 where that is not a row ahead)."""
     row_key, anywhere_key, kind_key = jax.random.split(key, 3)
-    future = data.achieved[jax.random.randint(row_key, first.shape, jnp.minimum(first, last), last + 1)]
+    first = jnp.minimum(first, last)
+    if future == "last":
+        rows = last
+    elif future == "geometric":
+        rows = jnp.minimum(first - 1 + jax.random.geometric(row_key, 1 / mean_steps, first.shape), last)
+    else:
+        rows = jax.random.randint(row_key, first.shape, first, last + 1)
     anywhere = data.achieved[jax.random.randint(anywhere_key, first.shape, 0, len(data.achieved))]
-    kind = jax.random.uniform(kind_key, first.shape)[:, None]
-    recorded = future if data.goals is None else data.goals[jnp.minimum(first, last)]
-    goal = jnp.where(kind < relabel_fraction + random_fraction, anywhere, recorded)
-    return jnp.where(kind < relabel_fraction, future, goal)
+    kind = jax.random.uniform(kind_key, first.shape)
+    from_anywhere = (kind >= relabel_fraction) & (kind < relabel_fraction + random_fraction)
+    recorded = kind >= relabel_fraction + random_fraction
+    goal = jnp.where(from_anywhere[:, None], anywhere, data.achieved[rows])
+    if data.goals is None:
+        return goal, jnp.where(from_anywhere, -1, rows)
+    return jnp.where(recorded[:, None], data.goals[first], goal), jnp.where(from_anywhere | recorded, -1, rows)
 
 
 def sample_windows(data: Data, key: jax.Array, batch_size: int, period_steps: int) -> Windows:
@@ -175,7 +206,7 @@ def sample_high(
     rows = _choose(row_key, data.window_rows, batch_size)
     last = data.last_row[rows]
     later = jnp.minimum(rows + period_steps, last)
-    goal = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    goal, _ = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
     return HighBatch(data.achieved[rows], data.achieved[later], goal)
 
 
@@ -196,6 +227,7 @@ def sample_low(
     rows = _choose(row_key, data.transition_rows, batch_size)
     last = data.last_row[rows]
     subgoal_rows = jax.random.randint(subgoal_key, rows.shape, rows + 1, jnp.minimum(rows + subgoal_steps, last) + 1)
+    goal, _ = _goals(data, goal_key, subgoal_rows, last, relabel_fraction, random_goal_fraction)
     return LowBatch(
         observation=data.observations[rows],
         action=data.actions[rows],
@@ -203,5 +235,39 @@ def sample_low(
         achieved=data.achieved[rows],
         next_achieved=data.achieved[rows + 1],
         subgoal=data.achieved[subgoal_rows],
-        goal=_goals(data, goal_key, subgoal_rows, last, relabel_fraction, random_goal_fraction),
+        subgoal_steps=subgoal_rows - rows,
+        goal=goal,
+    )
+
+
+def sample_flat(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    future: Future,
+    mean_goal_steps: float,
+    relabel_fraction: float,
+    random_goal_fraction: float,
+) -> FlatBatch:
+    """Transitions with hindsight goals s^G_i, t < i <= T, i as `future` says (geometric: `mean_goal_steps` ahead)."""
+    row_key, goal_key = jax.random.split(key)
+    rows = _choose(row_key, data.transition_rows, batch_size)
+    goal, goal_rows = _goals(
+        data,
+        goal_key,
+        rows + 1,
+        data.last_row[rows],
+        relabel_fraction,
+        random_goal_fraction,
+        future,
+        mean_goal_steps,
+    )
+    return FlatBatch(
+        observation=data.observations[rows],
+        action=data.actions[rows],
+        next_observation=data.observations[rows + 1],
+        achieved=data.achieved[rows],
+        next_achieved=data.achieved[rows + 1],
+        goal=goal,
+        steps=jnp.where(goal_rows < 0, -1, goal_rows - rows),
     )

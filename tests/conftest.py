@@ -15,7 +15,8 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 from guider.episodes import Episodes, make_episodes
 from guider.methods.guider import GuiderConfig
-from guider.presets import Problem, guider_config
+from guider.presets import guider_config
+from guider.problem import Problem
 
 TINY = {"hidden": (16, 16), "batch_size": 32}
 

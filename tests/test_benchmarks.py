@@ -14,11 +14,14 @@ from conftest import make_ragged
 
 from benchmarks.common import STAGES
 from benchmarks.updates import update_flops
-from guider.methods import goal_policy, latent_subgoals, subgoal_policy
+from guider.learners import Transitions, awr
 from guider.methods import guider as method
+from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, GuiderState
+from guider.methods.view import prepare, unit_scale
 from guider.networks import Gaussian
-from guider.presets import Problem, guider_config
+from guider.presets import guider_config
+from guider.problem import Problem
 from guider.samplers import Windows
 
 EPISODES = make_ragged()
@@ -37,7 +40,7 @@ def paper(**high) -> GuiderConfig:
 
 
 def state_of(config: GuiderConfig) -> GuiderState:
-    return method.init(config, SPACES, method.unit_scale(config, SPACES), jax.random.key(0))
+    return method.init(config, SPACES, unit_scale(config.view, SPACES), jax.random.key(0))
 
 
 def normal(seed: int, *shape: int) -> jax.Array:
@@ -73,15 +76,18 @@ def test_latent_losses_agree(baseline):
     assert theirs.item() == pytest.approx(float(ours), rel=1e-4)
 
 
-def low_batch() -> goal_policy.Transitions:
+def low_batch() -> Transitions:
     inputs = SPACES.state_dim + 2 * SPACES.goal_dim
     reward = jnp.where(normal(3, 32) > 1, 0.0, -1.0)
-    return goal_policy.Transitions(normal(1, 32, inputs), jnp.tanh(normal(2, 32, 2)), reward, normal(4, 32, inputs))
+    action, steps = jnp.tanh(normal(2, 32, 2)), jnp.ones(32, jnp.int32)
+    return Transitions(normal(1, 32, inputs), action, reward, normal(4, 32, inputs), steps)
 
 
 def test_low_level_updates_agree(baseline):
     """Losses of the first update, and of a second one after both have stepped: gradients, Adam, targets agree too."""
     config = paper()
+    learner = config.low.learner
+    assert isinstance(learner, awr.AwrConfig)
     state = state_of(config).low
     policy = baseline.GoalPolicy(config, SPACES.state_dim, SPACES.goal_dim, SPACES.action_dim)
     baseline.copy_layers(policy.actor, state.params.actor)
@@ -89,23 +95,30 @@ def test_low_level_updates_agree(baseline):
     baseline.copy_twins(policy.targets, jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic))
     state = state._replace(target_critic=jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic))
     batch = low_batch()
-    torch_batch = baseline.GoalBatch(*map(tensor, batch))
+    torch_batch = baseline.GoalBatch(*map(tensor, batch[:4]))
     for _ in range(2):
         weighted_loss = _low_level_loss(config, state, batch)
         loss = policy.loss(torch_batch)
         assert loss.item() == pytest.approx(weighted_loss, rel=1e-4)
         baseline.minimise(loss, policy.networks, policy.optimisers)
-        baseline.move_targets(policy.targets, policy.critics, config.low.target_rate)
-        state, _ = goal_policy.update(config.low, state, batch)
+        baseline.move_targets(policy.targets, policy.critics, learner.target_rate)
+        state, _ = update_low(config, state, batch)
 
 
-def _low_level_loss(config: GuiderConfig, state: goal_policy.GoalPolicyState, batch: goal_policy.Transitions) -> float:
+def update_low(config: GuiderConfig, state: awr.AwrState, batch: Transitions):
+    assert isinstance(config.low.learner, awr.AwrConfig)
+    return awr.update(config.low.learner, state, batch, jax.random.key(0), config.low.learning_rate)
+
+
+def _low_level_loss(config: GuiderConfig, state: awr.AwrState, batch: Transitions) -> float:
     """TD error as `update` reports it, plus the regression of Eq. 6 from its definition."""
-    _, metrics = goal_policy.update(config.low, state, batch)
-    predicted = goal_policy.act(state.params, batch.state)
-    values = goal_policy.twin_values(state.params.critic, batch.state, batch.action).min(axis=0)
-    baseline = goal_policy.twin_values(state.params.critic, batch.state, predicted).min(axis=0)
-    weight = jnp.minimum(jnp.exp((values - baseline) / config.low.temperature), config.low.weight_ceiling)
+    learner = config.low.learner
+    assert isinstance(learner, awr.AwrConfig)
+    _, metrics = update_low(config, state, batch)
+    predicted = awr.act(state, batch.state)
+    values = awr.twin_values(state.params.critic, batch.state, batch.action).min(axis=0)
+    baseline = awr.twin_values(state.params.critic, batch.state, predicted).min(axis=0)
+    weight = jnp.minimum(jnp.exp((values - baseline) / learner.temperature), learner.weight_ceiling)
     return float(metrics["td_error"] + (weight * ((predicted - batch.action) ** 2).mean(axis=-1)).mean())
 
 
@@ -142,7 +155,7 @@ def test_high_level_losses_agree(baseline):
 def test_counted_operations_are_those_compiled(stage):
     """XLA's own count also holds activations, losses and Adam, and shares a few products."""
     config = paper()
-    data, scale = method.prepare(config, EPISODES)
+    data, scale = prepare(config.view, config.problem, EPISODES)
     state = method.init(config, SPACES, scale, jax.random.key(0))
     update = jax.jit(method.stages(config)[STAGES.index(stage)].update)
     cost = update.lower(state, data, jax.random.key(0)).compile().cost_analysis()

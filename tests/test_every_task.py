@@ -11,8 +11,8 @@ from guider.data.write import write_d4rl
 from guider.tasks import TASKS
 
 SETTINGS = {
-    "minimum_move": "0",
-    "boundary": "clip",
+    "view.minimum_move": "0",
+    "view.boundary": "clip",
     **{f"{part}.{name}": value for part in ("latent", "high", "low") for name, value in {
         "updates": "2", "batch_size": "4", "hidden": "(8,)"}.items()},
 }  # fmt: skip

@@ -19,10 +19,11 @@ from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
-from guider.methods.scaling import Scale
+from guider.methods.view import Scale, prepare
 from guider.networks import Gaussian
 from guider.policy import Policy, act, initial_state
-from guider.presets import Problem, guider_config
+from guider.presets import guider_config
+from guider.problem import Problem
 from guider.samplers import HighBatch, LowBatch, Windows
 
 
@@ -50,7 +51,7 @@ SWITCHES = {
     },
     "expectile critic": {"high.critic": "expectile"},
     "fixed conservative weight": {"high.lagrange_threshold": "None"},
-    "strict relabelling": {"high.goal_offset": "1", "boundary": "drop"},
+    "strict relabelling": {"high.goal_offset": "1", "view.boundary": "drop"},
     "subgoal slack of the authors": {"low.subgoal_slack_steps": "5"},
 }
 
@@ -60,7 +61,7 @@ SWITCHES = {
 def test_every_switch_trains_and_acts(switches, preset):
     config = override(tiny(guider_config(preset, Problem(0.5, 1.0, period_steps=5))), switches)
     episodes = make_ragged()
-    data, scale = method.prepare(config, episodes)
+    data, scale = prepare(config.view, config.problem, episodes)
     state = fresh = method.init(config, episodes.spaces, scale, jax.random.key(0))
     for stage in method.stages(config):  # uncompiled: compiling each combination would take minutes
         part, _ = stage.update(state, data, jax.random.key(1))
@@ -77,27 +78,29 @@ def test_every_switch_trains_and_acts(switches, preset):
 def test_presets_are_what_they_say():
     paper = guider_config("paper", Problem(0.5, 1.0, 50))
     assert paper == GuiderConfig()
-    assert differences(replace(paper, period_steps=25), paper) == {"period_steps": 25}
+    assert differences(replace(paper, replan="reached"), paper) == {"replan": "reached"}
     assert (paper.latent.updates, paper.high.updates, paper.low.updates) == (500_000, 200_000, 500_000)
     fast = guider_config("fast", Problem(0.5, 1.0, 50))
-    assert {"normalise", "low.relative"} < set(differences(fast, paper))
-    parts = guider_config("fast", Problem(0.3, 0.3, 40, goal_parts=((0,), (1, 2)), latent_dim=8))
-    assert parts.goal_parts == ((0,), (1, 2)) and parts.latent.latent_dim == 8
+    assert {"view.normalise", "low.relative"} < set(differences(fast, paper))
+    parts = guider_config("fast", Problem(0.3, 0.3, 40, goal_parts=((0,), (1, 2)), domain="kitchen"))
+    assert parts.problem.goal_parts == ((0,), (1, 2)) and parts.latent.latent_dim == 8
 
 
 def test_configs_survive_json_and_name_their_faults():
     config = guider_config("fast", Problem(0.25, 0.35, 20))
     assert from_dict(GuiderConfig, to_dict(config)) == config
-    assert override(config, {"low.hidden": "(8, 8)", "radius": "1"}).low.hidden == (8, 8)
+    assert override(config, {"low.hidden": "(8, 8)", "replan": "reached"}).low.hidden == (8, 8)
     for change, message in {
         ("high.critic", "magic"): "must be one of cql, td, expectile",
         ("low.updates", "many"): "must be of type int, got 'many'",
         ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
-        ("radius", "-1"): "radius must be above 0",
+        ("problem.radius", "-1"): "radius must be above 0",
+        ("low.learner.discount", "2"): "discount must lie between 0 and 1",
+        ("low.learner.kind", "magic"): "must be one of awr, cql, gcsl, iql, wgcsl",
         ("hihg.samples", "1"): "did you mean high.samples",
         ("low.hidden", "()"): "hidden must name one or more layers",
         ("low.updates", "0"): "updates must be above 0",
-        ("normalise", "false"): "position_waves needs normalise",
+        ("view.normalise", "false"): "position_waves needs normalise",
     }.items():
         with pytest.raises(GuiderError, match=message):
             override(config, dict([change]))
@@ -115,11 +118,13 @@ def test_low_inputs_and_reward_by_hand():
         achieved=jnp.array([[1.0, 2.0]]),
         next_achieved=jnp.array([[2.0, 2.0]]),
         subgoal=jnp.array([[2.4, 2.0]]),
+        subgoal_steps=jnp.array([3]),
         goal=jnp.array([[11.0, 2.0]]),
     )
     seen = method.relabel_low(config, state, batch, jax.random.key(0))
     np.testing.assert_allclose(seen.state, [[0.5, 1.0, 3.0, 1.4 / 4, 0.0, 1.0, 0.0]], rtol=1e-6)
     np.testing.assert_allclose(seen.next_state, [[1.0, 1.0, 3.0, 0.1, 0.0, 0.9, 0.0]], rtol=1e-5)
+    assert seen.steps.tolist() == [3]
     assert seen.reward.tolist() == [0.0], "0.4 m from the subgoal after the step"
 
 
@@ -235,7 +240,7 @@ def test_final_goal_is_substituted_only_within_reach():
 
 def test_acting_is_batched_row_by_row():
     episodes, config = make_ragged(), tiny(guider_config("fast", Problem(0.5, 1.0, 5)))
-    _, scale = method.prepare(config, episodes)
+    _, scale = prepare(config.view, config.problem, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
     policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
     observations, goals = jnp.asarray(episodes.observations[:6]), jnp.ones((6, 2))

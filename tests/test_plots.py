@@ -19,14 +19,15 @@ from guider import plots
 from guider.episodes import Episodes, make_episodes
 from guider.evaluation import Rollouts, Trace
 from guider.methods import guider
-from guider.methods.goal_policy import GoalPolicyConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig
+from guider.methods.view import unit_scale
 from guider.plots import canvas
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoal_outcomes
 from guider.plots.mazes import in_wall, legible_subgoals, maze_positions, spread_positions
 from guider.plots.subgoals import data_outcomes, proposals
 from guider.policy import Policy
+from guider.problem import Problem
 from guider.runs import Run, RunSpec
 from guider.tasks import find_task
 
@@ -39,12 +40,12 @@ TITLE = "a-task, guider, preset fast, seed 3"
 
 def small_config() -> guider.GuiderConfig:
     return guider.GuiderConfig(
-        period_steps=PERIOD,
+        problem=Problem(period_steps=PERIOD),
         replan="reached",
         final_goal_substitution=True,
         latent=LatentSubgoalsConfig(hidden=(8,)),
         high=SubgoalPolicyConfig(hidden=(8,)),
-        low=GoalPolicyConfig(hidden=(8,)),
+        low=guider.GoalPolicyConfig(hidden=(8,)),
     )
 
 
@@ -60,7 +61,7 @@ def logs(goal_dim: int) -> Episodes:
 def make_policy(goal_dim: int) -> Policy:
     """A policy of random numbers, so that nothing is compiled, with the goal space of logs(goal_dim)."""
     config, spaces, rng = small_config(), logs(goal_dim).spaces, np.random.default_rng(0)
-    scale = guider.unit_scale(config, spaces)
+    scale = unit_scale(config.view, spaces)
     shapes = jax.eval_shape(lambda: guider.init(config, spaces, scale, jax.random.key(0)))
     state = jax.tree.map(lambda leaf: jnp.asarray(0.4 * rng.standard_normal(leaf.shape), jnp.float32), shapes)
     bounds = jnp.asarray([-1.0, -1.0]), jnp.asarray([1.0, 1.0])

@@ -21,7 +21,9 @@ import guider
 from guider import checkpoint, runs
 from guider.errors import GuiderError
 from guider.methods import guider as method
-from guider.presets import Problem, guider_config
+from guider.methods.view import prepare
+from guider.presets import guider_config
+from guider.problem import Problem
 from guider.training import Position
 
 SETTINGS = {
@@ -118,7 +120,7 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, pace=runs.Pac
 def test_a_checkpoint_holds_the_whole_state(ragged, tmp_path, preset):
     """Every leaf comes back as it was, in its place, those without entries too."""
     config = tiny(guider_config(preset, Problem(0.5, 1.0, 5)))
-    _, scale = method.prepare(config, ragged)
+    _, scale = prepare(config.view, config.problem, ragged)
     state = method.init(config, ragged.spaces, scale, jax.random.key(0))
     checkpoint.save(tmp_path / "checkpoints", 7, Position(1, 3), state)
     restored = checkpoint.restore(tmp_path / "checkpoints", jax.eval_shape(lambda: state))
@@ -164,7 +166,7 @@ def test_a_checkpoint_of_another_config_is_refused(logs, tmp_path):
     [
         (lambda v: v | {"run_format": 99}, "another version"),
         (lambda v: v | {"method": "magic"}, "names the method 'magic'"),
-        (lambda v: v | {"config": v["config"] | {"perod": 3}}, "did you mean period_steps"),
+        (lambda v: v | {"config": v["config"] | {"perod": 3}}, "config has no setting 'perod'; did you mean"),
         (lambda v: v | {"config": v["config"] | {"replan": "never"}}, "must be one of period, reached"),
         (lambda v: {k: x for k, x in v.items() if k != "seeds"}, "lacks the setting 'seeds'"),
     ],

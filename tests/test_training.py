@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from guider.methods import METHODS
+from guider.methods.view import prepare
 from guider.training import Position, Stage, init_seeds, seed_keys, train
 
 
@@ -20,7 +21,7 @@ def equal(first, second) -> bool:
 
 def train_guider(config, episodes, seeds, **settings):
     method = METHODS["guider"]
-    data, scale = method.prepare(config, episodes)
+    data, scale = prepare(config.view, config.problem, episodes)
     state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), seeds)
     return jax.device_get(train(method.stages(config), state, data, seeds, **settings))
 

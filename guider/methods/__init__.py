@@ -6,39 +6,44 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from guider.methods import guider
+from guider.methods import flat, guider
 
 
 @dataclass(frozen=True)
 class Method:
-    """The functions of one method; `config` is an instance of `config_type` throughout.
+    """The functions of one method; `config` is an instance of `config_type` throughout, which has the fields `problem`
+    (guider.problem) and `view` (guider.methods.view).
 
-    prepare:  (config, episodes) -> (device data, input scale)
-    unit_scale: (config, spaces) -> a scale of the right shapes
     init:     (config, spaces, scale, key) -> state of one seed
     stages:   (config) -> stages for the engine
     initial_acting_state: (config, goal_dim, batch_size) -> what acting remembers between steps
     act:      (config, state, goal_indices, observation, goal, acting_state, reset_mask)
               -> (actions in [-1, 1], acting_state)
+    pursued:  (config, acting_state) -> (subgoals [B, G] in goal units, whether each is new [B]), None without subgoals
     """
 
     config_type: type
-    prepare: Callable[..., Any]
-    unit_scale: Callable[..., Any]
     init: Callable[..., Any]
     stages: Callable[..., Any]
     initial_acting_state: Callable[..., Any]
     act: Callable[..., Any]
+    pursued: Callable[..., Any] | None = None
 
+
+_FLAT = Method(flat.FlatConfig, flat.init, flat.stages, flat.initial_acting_state, flat.act)
+_GUIDER = Method(
+    guider.GuiderConfig, guider.init, guider.stages, guider.initial_acting_state, guider.act, guider.pursued
+)
 
 METHODS = {
-    "guider": Method(
-        config_type=guider.GuiderConfig,
-        prepare=guider.prepare,
-        unit_scale=guider.unit_scale,
-        init=guider.init,
-        stages=guider.stages,
-        initial_acting_state=guider.initial_acting_state,
-        act=guider.act,
-    )
+    "guider": _GUIDER,
+    "guider-gcsl": _GUIDER,
+    "guider-wgcsl": _GUIDER,
+    "guider-cql": _GUIDER,
+    "bc": _FLAT,
+    "gcsl": _FLAT,
+    "wgcsl": _FLAT,
+    "cql-her": _FLAT,
+    "iql": _FLAT,
 }
+"""Methods by name; guider.presets holds what tells those of one family apart."""

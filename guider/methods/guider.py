@@ -6,116 +6,93 @@ Nothing couples the high and the low updates, so Algorithm 1's interleaved loop 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from guider import losses
-from guider.config import check_not_negative, check_positive
-from guider.episodes import Episodes, Spaces
-from guider.errors import GuiderError
-from guider.goals import Parts, largest_distance
-from guider.methods import goal_policy, latent_subgoals, scaling, subgoal_policy
-from guider.methods.goal_policy import GoalPolicyConfig, GoalPolicyState
+from guider.config import check_fraction, check_networks, check_not_negative, check_shares
+from guider.episodes import Spaces
+from guider.goals import largest_distance
+from guider.learners import AwrConfig, LearnerConfig, Transitions, learner
+from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
-from guider.methods.scaling import Scale, make_scale
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
-from guider.samplers import (
-    Boundary,
-    Data,
-    HighBatch,
-    LowBatch,
-    MoveWithin,
-    device_data,
-    sample_high,
-    sample_low,
-    sample_windows,
-    window_starts,
-)
+from guider.methods.view import Scale, ViewConfig
+from guider.optimisers import cosine_rate
+from guider.problem import Problem
+from guider.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
 from guider.training import Stage
+
+
+@dataclass(frozen=True)
+class GoalPolicyConfig:
+    """Settings of the low level. Defaults are the authors' (preset `paper`)."""
+
+    updates: int = 500_000
+    batch_size: int = 512
+    learning_rate: float = 1e-4
+    decay: bool = False
+    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
+    hidden: tuple[int, ...] = (256, 256, 256)
+    subgoal_slack_steps: int = 0
+    """Subgoals come from (t, t + c + slack]: 0 is Algorithm 1, 1 Section 4.4, 5 the authors' code."""
+    relabel_fraction: float = 0.8
+    """Share of final goals relabelled with a future state; the rest are recorded goals, where data has them."""
+    random_goal_fraction: float = 0.0
+    """Share of final goals drawn from any trajectory (departure)."""
+    subgoal_input: Literal["goal", "latent"] = "goal"
+    """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_t, s^G_j) (Figure 5, without decoder)."""
+    relative: bool = False
+    """Show goals as displacements from s^G_t instead of positions (departure)."""
+    learner: LearnerConfig = field(default_factory=AwrConfig)
+    """How the policy is learned: Eq. 5-6 (awr), or as another method would (Figure 4)."""
+
+    def __post_init__(self) -> None:
+        check_networks(self)
+        check_not_negative(self, "subgoal_slack_steps")
+        check_fraction(self, "relabel_fraction", "random_goal_fraction")
+        check_shares(self)
 
 
 @dataclass(frozen=True)
 class GuiderConfig:
     """All of Guider's settings. Defaults are the preset `paper`; see `guider.presets` for `fast`."""
 
-    period_steps: int = 50
-    """c: environment steps between subgoals."""
-    radius: float = 0.5
-    """A goal or subgoal is met, and rewarded, within this distance (Eq. 1's epsilon, goal units)."""
-    reach_radius: float = 1.0
-    """Acting: a subgoal counts as reached within this distance (goal units)."""
-    goal_parts: Parts = ()
-    """Entries of the goal that must each be within the radius (kitchen: one part per object); () is all as one part."""
-    boundary: Boundary = "clip"
-    """c-step windows that would leave their episode end at its last state (clip), or are not used (drop)."""
-    minimum_move: float = 0.0
-    """Learn, at both levels, only where s^G moves this far or further (goal units), so that idle stretches do not shape
-    prior and policies (departure; 0 keeps all)."""
-    move_within: MoveWithin = "period"
-    """Where it has to: from here to c steps on, or from the episode's first state to any other of it."""
+    problem: Problem = field(default_factory=Problem)
+    view: ViewConfig = field(default_factory=ViewConfig)
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     final_goal_substitution: bool = False
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
-    normalise: bool = False
-    """Standardise what the networks see by the data's mean and spread (departure)."""
-    position_waves: int = 0
-    """Show places (s^G, g_final at the high level) also as sines and cosines at this many frequencies, so that small
-    networks can tell the two sides of a wall apart (departure; needs `normalise`)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
     high: SubgoalPolicyConfig = field(default_factory=SubgoalPolicyConfig)
     low: GoalPolicyConfig = field(default_factory=GoalPolicyConfig)
 
-    def __post_init__(self) -> None:
-        check_positive(self, "period_steps", "radius", "reach_radius")
-        check_not_negative(self, "minimum_move", "position_waves")
-        if self.position_waves and not self.normalise:
-            raise GuiderError("position_waves needs normalise: wavelengths are counted in spreads of the data")
-
 
 class GuiderState(NamedTuple):
-    """Everything that training changes or acting needs."""
+    """Everything that training changes or acting needs. low: the state of its learner."""
 
     scale: Scale
     latent: LatentState
     high: SubgoalPolicyState
-    low: GoalPolicyState
-
-
-def prepare(config: GuiderConfig, episodes: Episodes) -> tuple[Data, Scale]:
-    """Data on the device and the scaling it implies."""
-    data = device_data(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
-    if not config.normalise:
-        return data, unit_scale(config, episodes.spaces)
-    return data, make_scale(episodes, np.asarray(data.window_rows), config.period_steps, config.position_waves)
-
-
-def learned_windows(config: GuiderConfig, episodes: Episodes) -> np.ndarray:
-    """[W] rows of `episodes` that start a c-step window which training draws from."""
-    return window_starts(episodes, config.period_steps, config.boundary, config.minimum_move, config.move_within)
-
-
-def unit_scale(config: GuiderConfig, spaces: Spaces) -> Scale:
-    """Raw inputs, and the shapes of any scale."""
-    return scaling.unit_scale(spaces, config.position_waves)
+    low: Any
 
 
 def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> GuiderState:
     """Fresh state for one seed."""
     latent_key, high_key, low_key = jax.random.split(key, 3)
-    goal_dim, latent_dim = spaces.goal_dim, config.latent.latent_dim
-    subgoal_dim = latent_dim if config.low.subgoal_input == "latent" else goal_dim
-    wave_dim = 2 * config.position_waves * goal_dim
+    goal_dim, latent_dim, low = spaces.goal_dim, config.latent.latent_dim, config.low
+    subgoal_dim = latent_dim if low.subgoal_input == "latent" else goal_dim
+    wave_dim = 2 * config.view.position_waves * goal_dim
     position_dim = goal_dim + wave_dim
     low_input_dim = spaces.state_dim + wave_dim + subgoal_dim + goal_dim
     return GuiderState(
         scale=scale,
         latent=latent_subgoals.init(latent_key, config.latent, goal_dim, position_dim),
         high=subgoal_policy.init(high_key, config.high, 2 * position_dim, latent_dim),
-        low=goal_policy.init(low_key, config.low, low_input_dim, spaces.action_dim),
+        low=learner(low.learner).init(low_key, low.learner, low.hidden, low_input_dim, spaces.action_dim),
     )
 
 
@@ -155,32 +132,34 @@ def relabel_high(
     return subgoal_policy.Transitions(
         state=high_inputs(state.scale, batch.achieved, batch.goal),
         latent=posterior.sample(key),
-        reward=losses.goal_reward(batch.later, batch.goal, config.radius, config.goal_parts),
+        reward=losses.goal_reward(batch.later, batch.goal, config.problem.radius, config.problem.goal_parts),
         next_state=high_inputs(state.scale, batch.later, batch.goal),
         prior=latent_subgoals.prior(params, state.scale, batch.achieved),
     )
 
 
-def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array) -> goal_policy.Transitions:
+def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array) -> Transitions:
     """Algorithm 1, line 16. The reward is for meeting the subgoal (Eq. 1), in goal space always."""
     subgoal = batch.subgoal
     if config.low.subgoal_input == "latent":
         params = state.latent.params
         subgoal = latent_subgoals.encode(config.latent, params, state.scale, batch.achieved, batch.subgoal).sample(key)
-    return goal_policy.Transitions(
+    return Transitions(
         state=low_inputs(config, state, batch.observation, batch.achieved, subgoal, batch.goal),
         action=batch.action,
-        reward=losses.goal_reward(batch.next_achieved, batch.subgoal, config.radius, config.goal_parts),
+        reward=losses.goal_reward(batch.next_achieved, batch.subgoal, config.problem.radius, config.problem.goal_parts),
         next_state=low_inputs(config, state, batch.next_observation, batch.next_achieved, subgoal, batch.goal),
+        steps=batch.subgoal_steps,
     )
 
 
 def stages(config: GuiderConfig) -> tuple[Stage, ...]:
     """Algorithm 1 as three stages for the engine."""
+    period_steps = config.problem.period_steps
 
     def update_latent(state: GuiderState, data: Data, key: jax.Array):
         sample_key, update_key = jax.random.split(key)
-        batch = sample_windows(data, sample_key, config.latent.batch_size, config.period_steps)
+        batch = sample_windows(data, sample_key, config.latent.batch_size, period_steps)
         return latent_subgoals.update(config.latent, state.latent, state.scale, batch, update_key)
 
     def update_high(state: GuiderState, data: Data, key: jax.Array):
@@ -190,7 +169,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             data,
             sample_key,
             settings.batch_size,
-            config.period_steps,
+            period_steps,
             settings.goal_offset,
             settings.relabel_fraction,
             settings.random_goal_fraction,
@@ -199,18 +178,19 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
         return subgoal_policy.update(settings, state.high, transitions, update_key)
 
     def update_low(state: GuiderState, data: Data, key: jax.Array):
-        sample_key, relabel_key = jax.random.split(key)
+        sample_key, relabel_key, update_key = jax.random.split(key, 3)
         settings = config.low
         batch = sample_low(
             data,
             sample_key,
             settings.batch_size,
-            config.period_steps + settings.subgoal_slack_steps,
+            period_steps + settings.subgoal_slack_steps,
             settings.relabel_fraction,
             settings.random_goal_fraction,
         )
         transitions = relabel_low(config, state, batch, relabel_key)
-        return goal_policy.update(settings, state.low, transitions)
+        rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, state.low.optimiser)
+        return learner(settings.learner).update(settings.learner, state.low, transitions, update_key, rate)
 
     return (
         Stage("latent subgoals", "latent", config.latent.updates, update_latent),
@@ -243,14 +223,13 @@ def propose_subgoal(
     latent = subgoal_policy.propose(state.high.params, high_inputs(state.scale, achieved, goal)).mean
     subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
     if config.final_goal_substitution:
-        near = jnp.minimum(
-            largest_distance(subgoal, goal, config.goal_parts), largest_distance(achieved, goal, config.goal_parts)
-        )[..., None]
-        subgoal = jnp.where(near <= config.reach_radius, goal, subgoal)
+        parts, reach_radius = config.problem.goal_parts, config.problem.reach_radius
+        near = jnp.minimum(largest_distance(subgoal, goal, parts), largest_distance(achieved, goal, parts))[..., None]
+        subgoal = jnp.where(near <= reach_radius, goal, subgoal)
         if config.low.subgoal_input == "latent":
             params = state.latent.params
             final = latent_subgoals.encode(config.latent, params, state.scale, achieved, goal).mean
-            latent = jnp.where(near <= config.reach_radius, final, latent)
+            latent = jnp.where(near <= reach_radius, final, latent)
     return subgoal, latent
 
 
@@ -269,14 +248,20 @@ def act(
     Returns actions [B, A] in [-1, 1] and the new acting state. A new subgoal is chosen at resets, after c
     steps, and, with replan == "reached", once the current one lies within reach_radius.
     """
+    problem = config.problem
     achieved = observation[..., jnp.asarray(goal_indices)]
     renew = reset_mask | (acting.steps_left <= 0)
     if config.replan == "reached":
-        renew |= largest_distance(achieved, acting.subgoal, config.goal_parts) <= config.reach_radius
+        renew |= largest_distance(achieved, acting.subgoal, problem.goal_parts) <= problem.reach_radius
     subgoal, latent = propose_subgoal(config, state, achieved, goal)
     subgoal = jnp.where(renew[:, None], subgoal, acting.subgoal)
     latent = jnp.where(renew[:, None], latent, acting.latent)
-    steps_left = jnp.where(renew, config.period_steps, acting.steps_left) - 1
+    steps_left = jnp.where(renew, problem.period_steps, acting.steps_left) - 1
     seen = latent if config.low.subgoal_input == "latent" else subgoal
     inputs = low_inputs(config, state, observation, achieved, seen, goal)
-    return goal_policy.act(state.low.params, inputs), ActingState(subgoal, latent, steps_left)
+    return learner(config.low.learner).act(state.low, inputs), ActingState(subgoal, latent, steps_left)
+
+
+def pursued(config: GuiderConfig, acting: ActingState) -> tuple[jax.Array, jax.Array]:
+    """What was pursued in the step just taken: (subgoal [B, G], whether it was new [B])."""
+    return acting.subgoal, acting.steps_left == config.problem.period_steps - 1

@@ -7,14 +7,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from guider import losses
 from guider.config import check_fraction, check_networks, check_positive
 from guider.errors import GuiderError
-from guider.methods.scaling import Scale
+from guider.methods.view import Scale
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
-from guider.optimisers import adam_step
+from guider.optimisers import Moments, adam_init, adam_step
 from guider.samplers import Windows
 
 Metrics = dict[str, jax.Array]
@@ -57,7 +56,7 @@ class LatentParams(NamedTuple):
 
 class LatentState(NamedTuple):
     params: LatentParams
-    optimiser: optax.OptState
+    optimiser: Moments
 
 
 def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int, position_dim: int) -> LatentState:
@@ -69,7 +68,7 @@ def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int, position_d
         decoder=mlp_init(decoder_key, (position_dim + latent, *config.hidden, goal_dim)),
         prior=mlp_init(prior_key, (position_dim, *config.hidden, 2 * latent)),
     )
-    return LatentState(params, optax.adam(config.learning_rate).init(params))
+    return LatentState(params, adam_init(params))
 
 
 def encode(

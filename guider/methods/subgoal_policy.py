@@ -12,13 +12,12 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from guider import losses
 from guider.config import check_fraction, check_networks, check_not_negative, check_positive, check_shares
 from guider.errors import GuiderError
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
-from guider.optimisers import adam_step, trail
+from guider.optimisers import Moments, adam_init, adam_step, trail
 
 Metrics = dict[str, jax.Array]
 
@@ -79,7 +78,7 @@ class Params(NamedTuple):
 class SubgoalPolicyState(NamedTuple):
     params: Params
     target_critic: Layers
-    optimiser: optax.OptState
+    optimiser: Moments
 
 
 class Transitions(NamedTuple):
@@ -105,7 +104,7 @@ def init(key: jax.Array, config: SubgoalPolicyConfig, state_dim: int, latent_dim
         log_alpha=jnp.zeros(()),
         log_lagrange=jnp.zeros(()),
     )
-    return SubgoalPolicyState(params, params.critic, optax.adam(config.learning_rate).init(params))
+    return SubgoalPolicyState(params, params.critic, adam_init(params))
 
 
 def propose(params: Params, state: jax.Array) -> Gaussian:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from guider.episodes import Episodes
 from guider.evaluation import rollout
+from guider.methods.guider import GuiderConfig
 from guider.plots import canvas
 from guider.plots.curves import learning_curves, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
@@ -39,7 +40,8 @@ EPISODES_MEASURED = 20
 def draw_run(
     run: Run, task: Task | None, episodes: Episodes, seed: int, first_seed: int, episodes_shown: int = 6
 ) -> list[Path]:
-    """Draw everything there is to draw of a run into its folder `plots`, and return the paths.
+    """Draw everything there is to draw of a run into its folder `plots`, and return the paths: of a method without
+    decoded subgoals, its curves and, in mazes, its episodes.
 
     episodes: all data of the run, held-out ones included; seed: which of its policies to draw;
     first_seed: of the evaluation episodes to roll out, of which `episodes_shown` are drawn. Curves come first,
@@ -63,13 +65,17 @@ def draw_run(
     policy = run.policies()[spec.seeds.index(seed)]
     logged, held_out = episodes.split(spec.held_out) if spec.held_out else (episodes, episodes)
 
+    guided = isinstance(policy.config, GuiderConfig)
     if task is None or task.maze is None:
-        save(f"subgoals-seed{seed}", subgoals_on_logs(logged, held_out, policy, title))
+        if guided:
+            save(f"subgoals-seed{seed}", subgoals_on_logs(logged, held_out, policy, title))
         return saved
 
-    maze, period = task.maze, policy.config.period_steps
+    maze, period = task.maze, policy.config.problem.period_steps
     traces = rollout(policy, task, episodes_shown, first_seed, keep_traces=episodes_shown).traces
     save(f"episodes-seed{seed}", episodes_in_maze(task, maze, logged, traces, first_seed, title))
+    if not guided:
+        return saved
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
     positions = spread_positions(maze, logged, 8)
     save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))

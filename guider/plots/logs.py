@@ -25,7 +25,7 @@ def subgoals_on_logs(logged: Episodes, held_out: Episodes, policy: Policy, title
 
 def _subgoals_in_plane(logged: Episodes, held_out: Episodes, policy: Policy, title: str) -> Figure:
     paths = _first_paths(held_out, 4)
-    period = policy.config.period_steps
+    period = policy.config.problem.period_steps
     columns = min(2, len(paths))
     rows = -(-len(paths) // columns)
     figure = canvas.new_figure(
@@ -44,7 +44,7 @@ def _subgoals_in_plane(logged: Episodes, held_out: Episodes, policy: Policy, tit
         axes.plot(*samples.T, "o", color=canvas.ORANGE, alpha=0.5, markersize=2, markeredgewidth=0, zorder=2)
         line = canvas.timed_path(axes, achieved, max(len(path) for path in paths))
         canvas.numbered_stars(axes, subgoals[shown])
-        canvas.flag(axes, achieved[-1], policy.config.radius)
+        canvas.flag(axes, achieved[-1], policy.config.problem.radius)
         axes.set_title(f"held-out episode {index}, {len(achieved)} states", fontsize=9)
         axes.set(xlabel=_entry_name(logged, 0), ylabel=_entry_name(logged, 1))
         axes.label_outer()
@@ -66,7 +66,7 @@ def _subgoals_in_plane(logged: Episodes, held_out: Episodes, policy: Policy, tit
 
 def _subgoals_over_time(logged: Episodes, held_out: Episodes, policy: Policy, title: str) -> Figure:
     paths = _first_paths(held_out, 3)
-    period = policy.config.period_steps
+    period = policy.config.problem.period_steps
     entries = np.sort(np.argsort(logged.achieved.std(axis=0))[::-1][:4])
     figure = canvas.new_figure(
         f"{title}\nsubgoals every c = {period} steps along held-out episodes, towards their last states",

@@ -103,7 +103,7 @@ def reachable_in_maze(maze: Maze, logged: Episodes, policy: Policy, positions: n
     starts, later = data_outcomes(logged, policy.config)
     columns = min(4, len(positions))
     rows = -(-len(positions) // columns)
-    period = policy.config.period_steps
+    period = policy.config.problem.period_steps
     figure = canvas.new_figure(
         f"{title}\nreachable in c = {period} steps (median lengths)", (3.3 * columns, 3.5 * rows + 0.7)
     )

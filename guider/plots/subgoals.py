@@ -10,6 +10,7 @@ import numpy as np
 
 from guider.episodes import Episodes
 from guider.methods import guider, latent_subgoals
+from guider.methods.view import learned_windows
 from guider.networks import twin_values
 from guider.policy import Policy
 
@@ -50,6 +51,6 @@ def _prior_samples(policy: Policy, achieved: jax.Array, count: int) -> jax.Array
 
 def data_outcomes(logged: Episodes, config: guider.GuiderConfig) -> tuple[np.ndarray, np.ndarray]:
     """s^G at both ends of every c-step window that training draws from, [W, G] each."""
-    rows = guider.learned_windows(config, logged)
-    later = np.minimum(rows + config.period_steps, logged.last_rows[rows])
+    rows = learned_windows(config.view, config.problem, logged)
+    later = np.minimum(rows + config.problem.period_steps, logged.last_rows[rows])
     return logged.achieved[rows], logged.achieved[later]

@@ -60,7 +60,6 @@ def _task(
         reach_radius=RADIUS_M,
         horizon_steps=EPISODE_STEPS,
         period_steps=10,
-        latent_dim=3,
         score="return",
         environment=f"{env_id} of Gymnasium-Robotics {version('gymnasium-robotics')} in MuJoCo {mujoco.__version__}",
         source="WGCSL (Yang et al. 2022)",

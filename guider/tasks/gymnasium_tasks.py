@@ -106,7 +106,6 @@ def goal_task(identifier: str) -> Task:
         reach_radius=2 * radius,
         horizon_steps=horizon_steps,
         period_steps=max(5, round(horizon_steps / 20)),
-        latent_dim=len(goal_indices),
         environment=f"{env_id} in Gymnasium {gymnasium.__version__}",
         source="Gymnasium",
         make_env=partial(GymVectorEnv, partial(make_gymnasium, env_id), read=read),

@@ -103,7 +103,6 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
         reach_radius=RADIUS,
         horizon_steps=HORIZON_STEPS,
         period_steps=40,
-        latent_dim=8,
         score="subtasks",
         environment=f"FrankaKitchen-v1 of Gymnasium-Robotics {robotics} in MuJoCo {physics}",
         source="D4RL kitchen",

@@ -80,7 +80,6 @@ class Task:
     reach_radius:  a subgoal counts as reached within this distance (goal units)
     horizon_steps: environment steps an evaluation episode may take
     period_steps:  the default subgoal period c
-    latent_dim:    the default dimension of latent subgoals
     score:         how an episode is scored
     environment:   which simulation a score comes from
     source:        where the definition comes from
@@ -105,7 +104,6 @@ class Task:
     environment: str
     source: str
     make_env: Callable[[int], VectorEnv]
-    latent_dim: int = 2
     score: Score = "success"
     goal_parts: Parts = ()
     copies: int = 100

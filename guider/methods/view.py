@@ -1,14 +1,42 @@
-"""How raw states and goals are scaled before they enter a network."""
+"""What a method sees of logged data: which rows it learns from, and how they are scaled before they enter a network."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from guider.config import check_not_negative
 from guider.episodes import Episodes, Spaces
+from guider.errors import GuiderError
+from guider.problem import Problem
+from guider.samplers import Boundary, Data, MoveWithin, device_data, window_starts
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Settings that every method has. Defaults are raw inputs from all rows."""
+
+    boundary: Boundary = "clip"
+    """c-step windows that would leave their episode end at its last state (clip), or are not used (drop)."""
+    minimum_move: float = 0.0
+    """Learn only where s^G moves this far or further (goal units), so that idle stretches do not shape what is learned
+    (departure; 0 keeps all)."""
+    move_within: MoveWithin = "period"
+    """Where it has to: from here to c steps on, or from the episode's first state to any other of it."""
+    normalise: bool = False
+    """Standardise what the networks see by the data's mean and spread (departure)."""
+    position_waves: int = 0
+    """Show places also as sines and cosines at this many frequencies, so that small networks can tell the two sides of
+    a wall apart (departure; needs `normalise`)."""
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, "minimum_move", "position_waves")
+        if self.position_waves and not self.normalise:
+            raise GuiderError("position_waves needs normalise: wavelengths are counted in spreads of the data")
 
 
 class Scale(NamedTuple):
@@ -46,11 +74,24 @@ def wave_frequencies(count: int) -> jax.Array:
     return jnp.pi / 2 * 2.0 ** jnp.arange(count)
 
 
-def unit_scale(spaces: Spaces, waves: int) -> Scale:
-    """Raw inputs, with `waves` frequencies."""
+def prepare(view: ViewConfig, problem: Problem, episodes: Episodes) -> tuple[Data, Scale]:
+    """Data on the device and the scaling it implies."""
+    data = device_data(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
+    if not view.normalise:
+        return data, unit_scale(view, episodes.spaces)
+    return data, make_scale(episodes, np.asarray(data.window_rows), problem.period_steps, view.position_waves)
+
+
+def learned_windows(view: ViewConfig, problem: Problem, episodes: Episodes) -> np.ndarray:
+    """[W] rows of `episodes` that start a c-step window which training draws from."""
+    return window_starts(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
+
+
+def unit_scale(view: ViewConfig, spaces: Spaces) -> Scale:
+    """Raw inputs, and the shapes of any scale."""
     zeros, ones = jnp.zeros, jnp.ones
     state_dim, goal_dim = spaces.state_dim, spaces.goal_dim
-    frequencies = wave_frequencies(waves)
+    frequencies = wave_frequencies(view.position_waves)
     return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim), frequencies)
 
 

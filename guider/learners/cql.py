@@ -1,0 +1,124 @@
+"""CQL+HER: conservative Q-learning (Kumar et al. 2020; CQL(H) on a soft actor-critic) on relabelled goals.
+
+As for Guider's high level, the Bellman target stops at a met goal, targets start as copies of the critics, and every
+sample is weighted by the density it was drawn from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from guider import losses
+from guider.config import check_fraction, check_not_negative, check_positive
+from guider.learners.types import Metrics, Transitions
+from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
+from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
+
+
+@dataclass(frozen=True)
+class CqlConfig:
+    """Settings. Defaults are CQL's for antmaze, with its weight fixed instead of tuned by a threshold."""
+
+    kind: Literal["cql"] = "cql"
+    discount: float = 0.99
+    target_rate: float = 0.005
+    samples: int = 10
+    """Actions drawn from each of the three proposals, and for the max-Q backup."""
+    conservative_weight: float = 5.0
+    cloning_weight: float = 0.0
+    """Of the squared error to the logged action in the actor's loss (departure; CQL clones in early updates alone)."""
+
+    def __post_init__(self) -> None:
+        check_positive(self, "samples")
+        check_not_negative(self, "conservative_weight", "cloning_weight")
+        check_fraction(self, "discount", "target_rate")
+
+
+class Params(NamedTuple):
+    actor: Layers
+    critic: Layers
+    log_alpha: jax.Array
+
+
+class CqlState(NamedTuple):
+    params: Params
+    target_critic: Layers
+    optimiser: Moments
+
+
+def init(key: jax.Array, config: CqlConfig, hidden: tuple[int, ...], input_dim: int, action_dim: int) -> CqlState:
+    actor_key, critic_key = jax.random.split(key)
+    params = Params(
+        actor=mlp_init(actor_key, (input_dim, *hidden, 2 * action_dim)),
+        critic=twin_init(critic_key, (input_dim + action_dim, *hidden, 1)),
+        log_alpha=jnp.zeros(()),
+    )
+    return CqlState(params, params.critic, adam_init(params))
+
+
+def act(state: CqlState, inputs: jax.Array) -> jax.Array:
+    """tanh of the mean of pi(. | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
+    return jnp.tanh(_policy(state.params.actor, inputs).mean)
+
+
+def _policy(actor: Layers, inputs: jax.Array) -> Gaussian:
+    """The distribution whose samples tanh turns into actions."""
+    return gaussian_head(mlp(actor, inputs))
+
+
+def squashed_sample(policy: Gaussian, key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
+    """`count` actions a = tanh(u), u ~ policy, for each of [B] rows: ([B, count, A], log densities [B, count])."""
+    raw = policy.sample(key, (count,))
+    squeeze = 2 * (jnp.log(2.0) - raw - jax.nn.softplus(-2 * raw))  # log(1 - tanh(u)^2)
+    log_density = policy.log_prob(raw) - squeeze.sum(axis=-1)
+    return jnp.tanh(raw).swapaxes(0, 1), log_density.swapaxes(0, 1)
+
+
+def update(
+    config: CqlConfig, state: CqlState, batch: Transitions, key: jax.Array, rate: Rate
+) -> tuple[CqlState, Metrics]:
+    """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A)."""
+    uniform_key, next_key, now_key, actor_key = jax.random.split(key, 4)
+    old = state.params
+    action_dim = batch.action.shape[-1]
+    next_actions, next_density = squashed_sample(_policy(old.actor, batch.next_state), next_key, config.samples)
+    now_actions, now_density = squashed_sample(_policy(old.actor, batch.state), now_key, config.samples)
+    next_value = twin_values(state.target_critic, batch.next_state, next_actions).min(axis=0).max(axis=-1)
+    target = losses.td_target(batch.reward, next_value, config.discount)
+    uniform = jax.random.uniform(uniform_key, now_actions.shape, minval=-1.0, maxval=1.0)
+    uniform_density = jnp.full(now_density.shape, -action_dim * jnp.log(2.0))
+    log_density = jnp.concatenate([uniform_density, next_density, now_density], axis=1)
+    candidates = jnp.concatenate([batch.action[:, None], uniform, next_actions, now_actions], axis=1)
+
+    def loss(params: Params) -> tuple[jax.Array, Metrics]:
+        fused = twin_values(params.critic, batch.state, candidates)
+        values = fused[..., 0]
+        td = ((values - target) ** 2).mean(axis=-1).sum()
+        gap = losses.conservative_gap(fused[..., 1:], log_density, values).mean(axis=-1)
+
+        policy = _policy(params.actor, batch.state)
+        (action,), (density,) = (part.swapaxes(0, 1) for part in squashed_sample(policy, actor_key, 1))
+        value = twin_values(old.critic, batch.state, action).min(axis=0)
+        alpha = jnp.exp(params.log_alpha)
+        actor = (jax.lax.stop_gradient(alpha) * density - value).mean()
+        temperature = -params.log_alpha * jax.lax.stop_gradient(density.mean() - action_dim)
+        error = ((jnp.tanh(policy.mean) - batch.action) ** 2).mean()
+        metrics = {
+            "td_error": td,
+            "value": values.mean(),
+            "conservative_gap": gap.mean(),
+            "alpha": alpha,
+            "policy_value": value.mean(),
+            "action_error": error,
+        }
+        total = td + config.conservative_weight * gap.sum() + actor + temperature + config.cloning_weight * error
+        return total, metrics
+
+    gradients, metrics = jax.grad(loss, has_aux=True)(old)
+    params, optimiser = adam_step(rate, old, gradients, state.optimiser)
+    target_critic = trail(state.target_critic, params.critic, config.target_rate)
+    return CqlState(params, target_critic, optimiser), metrics

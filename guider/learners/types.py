@@ -1,0 +1,40 @@
+"""What every learner of a goal-conditioned policy is given, and what it offers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+
+Metrics = dict[str, jax.Array]
+
+
+class Transitions(NamedTuple):
+    """Transitions labelled with a goal, as the networks see them.
+
+    state, next_state: [B, inputs] scaled state and goal; action: [B, A] in [-1, 1]; reward: [B], 0 where the goal is
+    met after the step, else below; steps: [B] int, how many steps ahead in its own episode the goal was taken from, -1
+    where it was not.
+    """
+
+    state: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    next_state: jax.Array
+    steps: jax.Array
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The functions of one learner; `config` is an instance of its config type throughout.
+
+    init:   (key, config, hidden, input_dim, action_dim) -> state, a NamedTuple with `params` and `optimiser`
+    update: (config, state, Transitions, key, learning rate) -> (state, metrics)
+    act:    (state, inputs [..., inputs]) -> the most likely actions [..., A] in [-1, 1]
+    """
+
+    init: Callable[..., Any]
+    update: Callable[..., Any]
+    act: Callable[..., Any]

@@ -1,0 +1,142 @@
+"""Weighted goal-conditioned supervised learning (Yang et al. 2022), each of its three weights a switch of its own.
+
+Where the authors' code and this file differ: policy and critic learn from one batch, the policy from its rows whose
+goal lies ahead in their own episode; the critic's target trails at every update instead of once a cycle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from guider import losses
+from guider.config import check_fraction, check_not_negative, check_positive
+from guider.learners.types import Metrics, Transitions
+from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
+from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
+
+
+@dataclass(frozen=True)
+class WgcslConfig:
+    """Settings. Defaults are the authors'; without any of the three weights, the policy learns as GCSL's."""
+
+    kind: Literal["wgcsl"] = "wgcsl"
+    discount: float = 0.98
+    target_rate: float = 0.005
+    discount_weight: bool = True
+    """Weigh a goal k steps ahead by gamma^k."""
+    advantage_weight: bool = True
+    """Weigh by exp(A), clipped to [0, weight_ceiling], with A = r + gamma V(s', g) - V(s, g)."""
+    best_advantage_weight: bool = True
+    """Weigh by `poor_weight` what lies below a percentile of recent advantages."""
+    weight_ceiling: float = 10.0
+    poor_weight: float = 0.05
+    percentile_rise: float = 0.005
+    """Points that the percentile rises per update, from 0 ..."""
+    percentile_ceiling: float = 80.0
+    """... up to here."""
+    recent_advantages: int = 4096
+    """How many advantages the percentile is taken of."""
+
+    def __post_init__(self) -> None:
+        check_positive(self, "weight_ceiling", "recent_advantages")
+        check_not_negative(self, "percentile_rise")
+        check_fraction(self, "discount", "target_rate", "poor_weight")
+
+
+class Params(NamedTuple):
+    actor: Layers
+    critic: Layers
+
+
+class WgcslState(NamedTuple):
+    """recent: [recent_advantages] a ring of advantages; seen: how many were ever written."""
+
+    params: Params
+    target_critic: Layers
+    optimiser: Moments
+    recent: jax.Array
+    seen: jax.Array
+
+
+def init(key: jax.Array, config: WgcslConfig, hidden: tuple[int, ...], input_dim: int, action_dim: int) -> WgcslState:
+    actor_key, critic_key = jax.random.split(key)
+    params = Params(
+        actor=mlp_init(actor_key, (input_dim, *hidden, action_dim)),
+        critic=twin_init(critic_key, (input_dim + action_dim, *hidden, 1)),
+    )
+    recent = jnp.zeros(config.recent_advantages)
+    return WgcslState(params, params.critic, adam_init(params), recent, jnp.zeros((), jnp.int32))
+
+
+def act(state: WgcslState, inputs: jax.Array) -> jax.Array:
+    """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
+    return _mean(state.params.actor, inputs)
+
+
+def _mean(actor: Layers, inputs: jax.Array) -> jax.Array:
+    return jnp.tanh(mlp(actor, inputs))
+
+
+def weights(config: WgcslConfig, advantage: jax.Array, steps: jax.Array, threshold: jax.Array) -> jax.Array:
+    """The product of the weights that are on, [B]; 0 where the goal does not lie ahead in the row's own episode.
+
+    advantage: [B]; steps: [B], see Transitions; threshold: advantages below it are poor.
+    """
+    weight = jnp.where(steps >= 0, 1.0, 0.0)
+    if config.discount_weight:
+        weight *= config.discount ** jnp.maximum(steps, 0)
+    if config.advantage_weight:
+        weight *= losses.advantage_weight(advantage, 1.0, config.weight_ceiling)
+    if config.best_advantage_weight:
+        weight *= jnp.where(advantage >= threshold, 1.0, config.poor_weight)
+    return weight
+
+
+def update(
+    config: WgcslConfig, state: WgcslState, batch: Transitions, key: jax.Array, rate: Rate
+) -> tuple[WgcslState, Metrics]:
+    """One step of critic and policy. `key` is not needed.
+
+    Rewards are 1 where the goal is met after the step, else 0, and do not end the episode; targets are clipped to
+    [0, 1 / (1 - gamma)].
+    """
+    old = state.params
+    reward = jnp.where(batch.reward < 0, 0.0, 1.0)
+
+    def value(critic: Layers, inputs: jax.Array) -> jax.Array:
+        return twin_values(critic, inputs, _mean(old.actor, inputs)).min(axis=0)
+
+    ceiling = 1 / (1 - config.discount)
+    next_value = value(state.target_critic, batch.next_state)
+    target = jnp.clip(reward + config.discount * next_value, 0.0, ceiling)
+    advantage = reward + config.discount * next_value - value(state.target_critic, batch.state)
+
+    size = len(state.recent)
+    recent = state.recent.at[(state.seen + jnp.arange(len(advantage))) % size].set(advantage)
+    seen = state.seen + len(advantage)
+    percentile = jnp.minimum(config.percentile_rise * state.optimiser.count, config.percentile_ceiling)
+    threshold = jnp.nanpercentile(jnp.where(jnp.arange(size) < seen, recent, jnp.nan), percentile)
+    weight = weights(config, advantage, batch.steps, threshold)
+
+    def loss(params: Params) -> tuple[jax.Array, Metrics]:
+        values = twin_values(params.critic, batch.state, batch.action)
+        td = ((values - target) ** 2).mean(axis=-1).sum()
+        predicted = _mean(params.actor, batch.state)
+        regression = losses.weighted_regression(weight, predicted, batch.action).mean()
+        metrics = {
+            "td_error": td,
+            "value": values.mean(),
+            "advantage_std": advantage.std(),
+            "weight": weight.mean(),
+            "action_error": ((predicted - batch.action) ** 2).mean(),
+        }
+        return td + regression, metrics
+
+    gradients, metrics = jax.grad(loss, has_aux=True)(old)
+    params, optimiser = adam_step(rate, old, gradients, state.optimiser)
+    target_critic = trail(state.target_critic, params.critic, config.target_rate)
+    return WgcslState(params, target_critic, optimiser, recent, seen), metrics

@@ -1,0 +1,27 @@
+"""What is to be learned, whatever the method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from guider.config import check_positive
+from guider.goals import Parts
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a task, or the owner of the data, settles before any method is chosen."""
+
+    radius: float = 0.5
+    """A goal or subgoal is met, and rewarded, within this distance (Eq. 1's epsilon, goal units)."""
+    reach_radius: float = 1.0
+    """Acting: a subgoal counts as reached within this distance (goal units)."""
+    period_steps: int = 50
+    """c: environment steps between subgoals."""
+    goal_parts: Parts = ()
+    """Entries of the goal that must each be within the radius (kitchen: one part per object); () is all as one part."""
+    domain: str | None = None
+    """Of the task, None for one's own data: presets differ between domains."""
+
+    def __post_init__(self) -> None:
+        check_positive(self, "period_steps", "radius", "reach_radius")
