@@ -43,7 +43,7 @@ def train(
     format: str | None = None,
     method: str = "guider",
     preset: Preset = "fast",
-    settings: dict[str, str] | None = None,
+    settings: dict[str, Any] | None = None,
     seeds: int | Sequence[int] = 1,
     out: str | Path | None = None,
     held_out: float | None = None,
@@ -58,7 +58,7 @@ def train(
     data: a file or dataset (see `guider.load_data`), or Episodes.
     reach_radius: a subgoal counts as reached this near; default the task's, or twice the radius.
     period_steps: c; default the task's, or a twentieth of the median episode, at least 5.
-    settings: further settings by dotted name, e.g. {"high.samples": "2"}; see guider.methods.guider.
+    settings: further settings by dotted name, e.g. {"high.samples": 2}; see guider.methods and guider.learners.
     seeds: how many agents to train at once (seeds 0, 1, ...), or their seeds.
     out: run directory, new; default runs/TASK-METHOD-PRESET.
     held_out: fraction of episodes kept for `evaluate`; default 0 for a task, 0.1 for your own data.

@@ -314,7 +314,7 @@ def reproduce(
         data: Directory that holds TASK.hdf5, or a Minari dataset TASK; missing data is recorded into it.
         out: Directory for plan, runs, logs and results.
         jobs: Runs at a time, each on its own share of the cores.
-        set: Settings of every run by dotted name, e.g. --set low.updates=50000.
+        set: Settings of every run by dotted name, or of one method's, e.g. --set batch_size=256 guider:high.samples=2.
         dry_run: Show the plan; write and run nothing.
         report_only: Run nothing; write the table or figure of the runs there are.
         as_json: Print one JSON document instead of text.

@@ -17,8 +17,8 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys):
     (snippet,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     assert len(snippet.strip().splitlines()) < 15
-    full_size = guider.presets.guider_config
-    monkeypatch.setattr("guider.api.guider_config", lambda *arguments: tiny(full_size(*arguments)))
+    full_size = guider.presets.preset_config
+    monkeypatch.setattr("guider.api.preset_config", lambda *arguments: tiny(full_size(*arguments)))
     monkeypatch.chdir(tmp_path)
     logs = make_ragged([20] * 20)
     np.savez("logs.npz", observations=logs.observations, actions=logs.actions, lengths=logs.lengths)
@@ -30,7 +30,7 @@ def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys)
 
 def test_the_commands_it_names_exist():
     named = set(re.findall(r"^guider (\w+)", README, flags=re.MULTILINE)) | set(re.findall(r"`guider (\w+)", README))
-    assert named == {"tasks", "data", "collect", "train", "evaluate", "plot"}
+    assert named == {"tasks", "data", "collect", "train", "evaluate", "plot", "reproduce"}
     assert named <= set(COMMANDS)
 
 
