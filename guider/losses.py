@@ -5,6 +5,8 @@ Shapes: B rows of a batch, D entries of a goal, latent or action. Per-row scalar
 
 from __future__ import annotations
 
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 
@@ -80,9 +82,13 @@ def advantage_weight(advantage: jax.Array, temperature: float, ceiling: float) -
     return jnp.minimum(jnp.exp(jnp.minimum(advantage / temperature, 20.0)), ceiling)
 
 
-def weighted_regression(weight: jax.Array, predicted: jax.Array, action: jax.Array) -> jax.Array:
-    """Eq. 6 negated, for a Gaussian policy of fixed spread: weight * mean over dimensions of squared error.
+def weighted_regression(
+    weight: jax.Array, predicted: jax.Array, action: jax.Array, error: Literal["squared", "absolute"]
+) -> jax.Array:
+    """Eq. 6 negated, for a Gaussian policy of fixed spread: weight * mean over dimensions of the squared error; or of
+    the absolute error, for a Laplace distribution.
 
     weight: [B], no gradient; predicted, action: [B, A] scaled to [-1, 1]. Returns [B].
     """
-    return jax.lax.stop_gradient(weight) * jnp.mean((predicted - action) ** 2, axis=-1)
+    misses = (predicted - action) ** 2 if error == "squared" else jnp.abs(predicted - action)
+    return jax.lax.stop_gradient(weight) * jnp.mean(misses, axis=-1)

@@ -93,3 +93,57 @@ def twin_values(twins: Layers, context: jax.Array, actions: jax.Array) -> jax.Ar
         return mlp(tuple(rest), rows).reshape(actions.shape[:-1])
 
     return jax.vmap(values)(twins)
+
+
+def layer_norm_mlp(layers: Layers, inputs: jax.Array) -> jax.Array:
+    """[..., in] -> [..., out]; hidden units pass a GELU and are then standardised over the layer (Ba et al. 2016).
+
+    Gains and shifts of their own would only repeat what the next layer's weights and biases can do.
+    """
+    *hidden_layers, (last_weight, last_bias) = layers
+    hidden = inputs
+    for weight, bias in hidden_layers:
+        hidden = jax.nn.standardize(jax.nn.gelu(hidden @ weight + bias), axis=-1)
+    return hidden @ last_weight + last_bias
+
+
+class Gru(NamedTuple):
+    """Weights of a gated recurrent unit (Cho et al. 2014), its three gates side by side: reset, update, candidate.
+
+    from_input: [in, 3 H]; from_hidden: [H, 3 H]; bias: [3 H]; candidate_bias: [H], inside the reset gate.
+    """
+
+    from_input: jax.Array
+    from_hidden: jax.Array
+    bias: jax.Array
+    candidate_bias: jax.Array
+
+
+def gru_init(key: jax.Array, input_dim: int, hidden_dim: int) -> Gru:
+    """Uniform in +-1/sqrt(hidden_dim)."""
+    shapes = ((input_dim, 3 * hidden_dim), (hidden_dim, 3 * hidden_dim), (3 * hidden_dim,), (hidden_dim,))
+    bound = hidden_dim**-0.5
+    keys = jax.random.split(key, len(shapes))
+    draws = (jax.random.uniform(k, s, minval=-bound, maxval=bound) for k, s in zip(keys, shapes, strict=True))
+    return Gru(*draws)
+
+
+def gru(weights: Gru, inputs: jax.Array, valid: jax.Array, reverse: bool = False) -> jax.Array:
+    """The state [B, H] after reading a sequence from first to last, or from last to first.
+
+    inputs: [B, T, in]; valid: [B, T] bool, False for entries to pass over, which leave the state as it is.
+    """
+
+    def step(hidden, entry):
+        projected, counts = entry
+        seen_reset, seen_update, seen_candidate = jnp.split(projected, 3, axis=-1)
+        reset, update, candidate = jnp.split(hidden @ weights.from_hidden, 3, axis=-1)
+        reset = jax.nn.sigmoid(seen_reset + reset)
+        update = jax.nn.sigmoid(seen_update + update)
+        candidate = jnp.tanh(seen_candidate + reset * (candidate + weights.candidate_bias))
+        after = update * hidden + (1 - update) * candidate
+        return jnp.where(counts[:, None], after, hidden), None
+
+    projected = inputs @ weights.from_input + weights.bias  # of all entries at once: one tall matrix product
+    start = jnp.zeros((len(inputs), weights.candidate_bias.shape[0]))
+    return jax.lax.scan(step, start, (projected.swapaxes(0, 1), valid.T), reverse=reverse)[0]

@@ -6,17 +6,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from guider.config import override
+from guider.config import flatten, override, to_dict
 from guider.errors import GuiderError
 from guider.learners import AwrConfig, CqlConfig, GcslConfig, IqlConfig, LearnerConfig, WgcslConfig
 from guider.methods.flat import FlatConfig
 from guider.methods.guider import GoalPolicyConfig, GuiderConfig
+from guider.methods.hiql import HiqlConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.opal import OpalConfig
 from guider.methods.view import ViewConfig
 from guider.problem import Problem
 
+C = TypeVar("C")
 Preset = Literal["fast", "paper"]
 Changes = dict[str, Any]
 """Settings by dotted name."""
@@ -26,26 +29,55 @@ LATENT_DIM = {"fetch": 3, "kitchen": 8}
 
 # A task whose goal stands still until something is touched: whether an episode moves it at all is what counts.
 _MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
-_ARM: Changes = _MANIPULATION | {
-    "latent.updates": 6_000,
-    "low.relabel_fraction": 0.8,
-    "low.random_goal_fraction": 0.0,
-}
+_ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
+_FROM_DEMONSTRATIONS: Changes = {"learner.regression.error": "absolute", "learner.regression.dropout": 0.1}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _IN_METRES,
     "pointmaze": _IN_METRES,
-    "fetch": _ARM | {"high.updates": 2_500, "low.updates": 8_000},
-    "kitchen": _ARM | {"high.updates": 4_000, "low.updates": 20_000},
+    # Recorded goals lie far off in random episodes too, and would set them beside the experts'.
+    "fetch": _ARM | {"high.updates": 2_500, "low.updates": 8_000, "low.relabel_fraction": 1.0},
+    # Few demonstrations, many things that may come next, and no four of them in one episode.
+    "kitchen": _ARM
+    | {
+        "view.boundary": "clip",
+        "view.smallest_spread": 0.1,
+        "candidates": 64,
+        "high.updates": 3_000,
+        "high.relabel_fraction": 0.5,
+        "high.random_goal_fraction": 0.0,
+        "low.updates": 20_000,
+        "low.subgoal_slack_steps": 30,
+        "low.relabel_fraction": 0.0,
+        **{f"low.{name}": value for name, value in _FROM_DEMONSTRATIONS.items()},
+    },
 }
 """Where Guider's `fast` differs between domains."""
 
-_FLAT_ARM: Changes = _MANIPULATION | {"relabel_fraction": 1.0, "random_goal_fraction": 0.0}
-FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
-    "fetch": _FLAT_ARM | {"updates": 12_000},
-    "kitchen": _FLAT_ARM | {"updates": 24_000},
+_FLAT: Changes = {
+    "learner.samples": 2,
+    "learner.conservative_weight": 1.0,
+    "learner.percentile_rise": 0.02,
+    "learner.expectile": 0.7,
+    "learner.temperature": 0.5,
 }
-"""The same for methods without subgoals."""
+FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "fetch": _MANIPULATION,
+    "kitchen": _MANIPULATION | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
+}
+"""The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
+
+HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "fetch": _MANIPULATION | {"random_goal_fraction": 0.0, "subgoal_steps": 10},
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
+}
+"""The same for HIQL."""
+
+OPAL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "fetch": _MANIPULATION,
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1},
+}
+"""The same for OPAL."""
 
 
 def preset_config(method: str, preset: Preset, problem: Problem) -> Any:
@@ -103,24 +135,93 @@ def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = 
             random_goal_fraction=0.5,
         ),
     )
-    return override(fast, FAST_IN_DOMAIN.get(problem.domain, {}))
+    return _change(fast, FAST_IN_DOMAIN.get(problem.domain, {}))
 
 
-def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, changes: Changes) -> FlatConfig:
-    """Settings of a method without subgoals. changes: in both presets, where it is not FlatConfig's default."""
+def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, updates: int, changes: Changes) -> FlatConfig:
+    """Settings of a method without subgoals. updates: in `fast`, in mazes; changes: in both presets, from FlatConfig's
+    defaults."""
     paper = override(FlatConfig(problem=problem, view=ViewConfig(normalise=True), learner=learner), changes)
     if preset == "paper":
         return paper
     fast = replace(
         paper,
         view=_fast_view(problem),
-        updates=60_000,
+        updates=updates // {"fetch": 3, "kitchen": 2}.get(problem.domain or "", 1),
         batch_size=256,
         learning_rate=1e-3,
         decay=True,
         relative=True,
     )
-    return override(fast, FLAT_FAST_IN_DOMAIN.get(problem.domain, {}))
+    return _change(fast, _FLAT | FLAT_FAST_IN_DOMAIN.get(problem.domain, {}))
+
+
+def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
+    """HIQL's settings for a problem."""
+    paper = HiqlConfig(problem=problem)
+    if preset == "paper":
+        return paper
+    shared = {"batch_size": 256, "learning_rate": 1e-3, "decay": True}
+    fast = replace(
+        paper,
+        view=_fast_view(problem),
+        relative=True,
+        value=replace(
+            paper.value,
+            updates=20_000,
+            hidden=(256, 256),
+            discount=0.995,
+            target_rate=0.02,
+            backup_steps=5,
+            **shared,
+        ),
+        high=replace(paper.high, updates=8_000, hidden=(256, 256), **shared),
+        low=replace(paper.low, updates=25_000, hidden=(256, 256, 256), **shared),
+    )
+    return override(fast, HIQL_FAST_IN_DOMAIN.get(problem.domain, {}))
+
+
+def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
+    """OPAL's settings for a problem."""
+    paper = OpalConfig(problem=problem)
+    if preset == "paper":
+        return paper
+    fast = replace(
+        paper,
+        view=_fast_view(problem),
+        relative=True,
+        skills=replace(
+            paper.skills,
+            updates=7_000,
+            decay=True,
+            hidden=(256, 256),
+            encoder_hidden=128,
+            encoder_stride=5,
+            beta=0.02,
+        ),
+        high=replace(
+            paper.high,
+            updates=4_000,
+            batch_size=128,
+            learning_rate=1e-3,
+            hidden=(256, 256),
+            relabel_fraction=0.7,
+            random_goal_fraction=0.3,
+            prior=True,
+            target_divergence=0.4,
+            samples=2,
+            lagrange_threshold=None,
+            conservative_weight=0.5,
+            cap_targets=True,
+        ),
+    )
+    return override(fast, OPAL_FAST_IN_DOMAIN.get(problem.domain, {}))
+
+
+def _change(config: C, changes: Changes) -> C:
+    """The config with those of the changes that are for its learner, or for any."""
+    names = flatten(to_dict(config))
+    return override(config, {name: value for name, value in changes.items() if "learner." not in name or name in names})
 
 
 def _fast_view(problem: Problem) -> ViewConfig:
@@ -132,9 +233,13 @@ _PRESETS: dict[str, Callable[[Preset, Problem], Any]] = {
     "guider-gcsl": partial(guider_config, low=GcslConfig()),
     "guider-wgcsl": partial(guider_config, low=WgcslConfig()),
     "guider-cql": partial(guider_config, low=CqlConfig()),
-    "bc": partial(flat_config, learner=GcslConfig(), changes={"relabel_fraction": 0.0, "future": "last"}),
-    "gcsl": partial(flat_config, learner=GcslConfig(), changes={}),
-    "wgcsl": partial(flat_config, learner=WgcslConfig(), changes={"relabel_fraction": 0.8}),
-    "cql-her": partial(flat_config, learner=CqlConfig(), changes={"relabel_fraction": 0.8}),
-    "iql": partial(flat_config, learner=IqlConfig(), changes={"relabel_fraction": 0.8}),
+    "bc": partial(
+        flat_config, learner=GcslConfig(), updates=40_000, changes={"relabel_fraction": 0.0, "future": "last"}
+    ),
+    "gcsl": partial(flat_config, learner=GcslConfig(), updates=40_000, changes={}),
+    "wgcsl": partial(flat_config, learner=WgcslConfig(), updates=25_000, changes={"relabel_fraction": 0.8}),
+    "cql-her": partial(flat_config, learner=CqlConfig(), updates=12_000, changes={"relabel_fraction": 0.8}),
+    "iql": partial(flat_config, learner=IqlConfig(), updates=25_000, changes={"relabel_fraction": 0.8}),
+    "hiql": hiql_config,
+    "opal": opal_config,
 }

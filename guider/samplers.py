@@ -86,6 +86,66 @@ class FlatBatch(NamedTuple):
     steps: jax.Array
 
 
+class ValueBatch(NamedTuple):
+    """Stretches of n steps with a goal, to learn V(s, g) from (HIQL).
+
+    observation, end_observation: [B, S], the stretch's first state and the one after its last step;
+    achieved: [B, n, G], s^G at each step, and end: [B, G] after the last; valid: [B, n] bool, False from the episode's
+    end on, where its last state stands; goal: [B, G]; steps: [B] int, steps from the first row to the one the goal was
+    taken from, -1 where that is not in the episode's rest.
+    """
+
+    observation: jax.Array
+    end_observation: jax.Array
+    achieved: jax.Array
+    end: jax.Array
+    valid: jax.Array
+    goal: jax.Array
+    steps: jax.Array
+
+
+class WaypointBatch(NamedTuple):
+    """Transitions on the way to a goal, and where that way leads in a number of steps (HIQL).
+
+    observation, next_observation, ahead_observation: [B, S]; action: [B, A] in [-1, 1];
+    achieved, next_achieved, ahead, goal: [B, G], s^G of the three states and the goal.
+    """
+
+    observation: jax.Array
+    action: jax.Array
+    next_observation: jax.Array
+    ahead_observation: jax.Array
+    achieved: jax.Array
+    next_achieved: jax.Array
+    ahead: jax.Array
+    goal: jax.Array
+
+
+class Trajectories(NamedTuple):
+    """Windows of c states and the actions taken in them (OPAL).
+
+    observations: [B, c, S]; actions: [B, c, A] in [-1, 1]; valid: [B, c] bool, False from the episode's end on, where
+    its last state stands.
+    """
+
+    observations: jax.Array
+    actions: jax.Array
+    valid: jax.Array
+
+
+class SkillBatch(NamedTuple):
+    """High-level transitions of OPAL: what was done for c steps, where it led, and a goal.
+
+    later_observation: [B, S]; achieved, later, goal: [B, G], s^G at the window's start and end, and the goal.
+    """
+
+    trajectories: Trajectories
+    later_observation: jax.Array
+    achieved: jax.Array
+    later: jax.Array
+    goal: jax.Array
+
+
 def window_starts(
     episodes: Episodes,
     period_steps: int,
@@ -270,4 +330,94 @@ def sample_flat(
         next_achieved=data.achieved[rows + 1],
         goal=goal,
         steps=jnp.where(goal_rows < 0, -1, goal_rows - rows),
+    )
+
+
+def sample_value(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    stretch_steps: int,
+    mean_goal_steps: float,
+    current_goal_fraction: float,
+    random_goal_fraction: float,
+) -> ValueBatch:
+    """Stretches of `stretch_steps` (HIQL: 1), with goals that are s^G_t itself, a state of any trajectory, or, for the
+    rest, one of the episode's future, `mean_goal_steps` ahead on average (geometric)."""
+    row_key, goal_key, kind_key = jax.random.split(key, 3)
+    starts = _choose(row_key, data.transition_rows, batch_size)
+    last = data.last_row[starts]
+    others = 1 - current_goal_fraction
+    random_share = random_goal_fraction / others if others > 0 else 0.0
+    goal, goal_rows = _goals(
+        data, goal_key, starts + 1, last, 1 - random_share, random_share, "geometric", mean_goal_steps
+    )
+    current = jax.random.uniform(kind_key, (batch_size,)) < current_goal_fraction
+    rows = starts[:, None] + jnp.arange(stretch_steps)
+    ends = jnp.minimum(starts + stretch_steps, last)
+    return ValueBatch(
+        observation=data.observations[starts],
+        end_observation=data.observations[ends],
+        achieved=data.achieved[jnp.minimum(rows, last[:, None])],
+        end=data.achieved[ends],
+        valid=rows < last[:, None],
+        goal=jnp.where(current[:, None], data.achieved[starts], goal),
+        steps=jnp.where(current, 0, jnp.where(goal_rows < 0, -1, goal_rows - starts)),
+    )
+
+
+def sample_waypoints(
+    data: Data, key: jax.Array, batch_size: int, ahead_steps: int, random_goal_fraction: float
+) -> WaypointBatch:
+    """Transitions with hindsight goals s^G_i, i uniform in (t, T], or goals from anywhere, and the state at
+    min(t + ahead_steps, i), or min(t + ahead_steps, T) where the goal is from anywhere (HIQL)."""
+    row_key, goal_key = jax.random.split(key)
+    rows = _choose(row_key, data.transition_rows, batch_size)
+    last = data.last_row[rows]
+    goal, goal_rows = _goals(data, goal_key, rows + 1, last, 1 - random_goal_fraction, random_goal_fraction)
+    ahead_rows = jnp.minimum(rows + ahead_steps, jnp.where(goal_rows < 0, last, goal_rows))
+    return WaypointBatch(
+        observation=data.observations[rows],
+        action=data.actions[rows],
+        next_observation=data.observations[rows + 1],
+        ahead_observation=data.observations[ahead_rows],
+        achieved=data.achieved[rows],
+        next_achieved=data.achieved[rows + 1],
+        ahead=data.achieved[ahead_rows],
+        goal=goal,
+    )
+
+
+def _trajectories(data: Data, starts: jax.Array, steps: int) -> Trajectories:
+    rows, last = starts[:, None] + jnp.arange(steps), data.last_row[starts][:, None]
+    inside = jnp.minimum(rows, last)
+    return Trajectories(data.observations[inside], data.actions[inside], rows < last)
+
+
+def sample_trajectories(data: Data, key: jax.Array, batch_size: int, period_steps: int) -> Trajectories:
+    """Uniform windows of c steps."""
+    return _trajectories(data, _choose(key, data.window_rows, batch_size), period_steps)
+
+
+def sample_skills(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    period_steps: int,
+    goal_offset: int,
+    relabel_fraction: float,
+    random_goal_fraction: float,
+) -> SkillBatch:
+    """High-level transitions with hindsight goals as in `sample_high`, and the c steps that were taken."""
+    row_key, goal_key = jax.random.split(key)
+    rows = _choose(row_key, data.window_rows, batch_size)
+    last = data.last_row[rows]
+    later = jnp.minimum(rows + period_steps, last)
+    goal, _ = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    return SkillBatch(
+        trajectories=_trajectories(data, rows, period_steps),
+        later_observation=data.observations[later],
+        achieved=data.achieved[rows],
+        later=data.achieved[later],
+        goal=goal,
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -13,22 +13,20 @@ import pytest
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".jax_cache"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
+from guider.config import flatten, override, to_dict
 from guider.episodes import Episodes, make_episodes
 from guider.methods.guider import GuiderConfig
 from guider.presets import guider_config
 from guider.problem import Problem
 
-TINY = {"hidden": (16, 16), "batch_size": 32}
+C = TypeVar("C")
 
 
-def tiny(config: GuiderConfig, updates: int = 10) -> GuiderConfig:
-    """The same method with networks and budgets small enough for a test."""
-    return replace(
-        config,
-        latent=replace(config.latent, updates=updates, **TINY),
-        high=replace(config.high, updates=updates, samples=2, **TINY),
-        low=replace(config.low, updates=updates, **TINY),
-    )
+def tiny(config: C, updates: int = 10, hidden: tuple[int, ...] = (16, 16), batch_size: int = 32) -> C:
+    """Any method's settings with networks and budgets small enough for a test."""
+    small = {"updates": updates, "hidden": hidden, "batch_size": batch_size, "samples": 2}
+    names = flatten(to_dict(config))
+    return override(config, {name: small[last] for name in names if (last := name.split(".")[-1]) in small})
 
 
 def make_ragged(lengths=(7, 30, 2, 12, 55), recorded_goals: bool = True, seed: int = 0) -> Episodes:

@@ -19,8 +19,8 @@ from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
-from guider.methods.view import Scale, prepare
-from guider.networks import Gaussian
+from guider.methods.view import Scale, ViewConfig, prepare
+from guider.networks import Gaussian, twin_values
 from guider.policy import Policy, act, initial_state
 from guider.presets import guider_config
 from guider.problem import Problem
@@ -236,6 +236,37 @@ def test_final_goal_is_substituted_only_within_reach():
     goal = jnp.array([[0.9, 0.0], [1.1, 0.0]])
     subgoal, _ = method.propose_subgoal(policy.config, policy.state, jnp.zeros((2, 2)), goal)
     np.testing.assert_allclose(subgoal, [[0.9, 0.0], [0.0, 0.0]])
+
+
+def test_candidates_are_the_priors_and_the_critic_chooses():
+    episodes, config = make_ragged(), tiny(guider_config("fast", Problem(0.5, 1.0, 5)))
+    _, scale = prepare(config.view, config.problem, episodes)
+    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    achieved, goal = jnp.asarray(episodes.achieved[:4]), jnp.full((4, 2), 100.0)
+    inputs = method.high_inputs(scale, achieved, goal)
+    _, mean = method.propose_subgoal(config, state, achieved, goal)
+    np.testing.assert_array_equal(mean, subgoal_policy.propose(state.high.params, inputs).mean)
+
+    _, chosen = method.propose_subgoal(replace(config, candidates=32), state, achieved, goal)
+    _, once_more = method.propose_subgoal(replace(config, candidates=32), state, achieved, goal)
+    np.testing.assert_array_equal(chosen, once_more)
+    prior = latent_subgoals.prior(state.latent.params, scale, achieved)
+    elsewhere = prior.sample(jax.random.key(5), (500,)).swapaxes(0, 1)
+    values = twin_values(state.high.params.critic, inputs, elsewhere).min(axis=0)
+    best = twin_values(state.high.params.critic, inputs, chosen).min(axis=0)
+    assert bool(jnp.all(best > jnp.quantile(values, 0.8, axis=1))), "better than most of what the prior offers"
+    assert bool(jnp.all(jnp.abs(chosen - prior.mean) < 4 * jnp.exp(prior.log_std)))
+
+
+def test_small_spreads_of_goal_entries_are_not_blown_up():
+    ragged = make_ragged()
+    observations = np.asarray(ragged.observations) * [1.0, 1e-4, 1e-4, 1.0]
+    episodes = make_episodes(observations, ragged.actions, ragged.lengths, (0, 1))
+    _, scale = prepare(ViewConfig(normalise=True, smallest_spread=0.1), Problem(period_steps=5), episodes)
+    plain = prepare(ViewConfig(normalise=True), Problem(period_steps=5), episodes)[1]
+    assert scale.goal_std[1] == scale.state_std[1] == scale.step_std[1] == np.float32(0.1)
+    assert scale.goal_std[0] == plain.goal_std[0] > 0.1
+    np.testing.assert_array_equal(scale.state_std[2:], plain.state_std[2:])
 
 
 def test_acting_is_batched_row_by_row():

@@ -98,9 +98,19 @@ def test_weighted_regression_is_a_gaussian_log_likelihood():
     def likelihood(mean):
         return -(weight * Gaussian(mean, jnp.zeros_like(mean)).log_prob(action)).sum()
 
-    ours = jax.grad(lambda m: losses.weighted_regression(weight, m, action).sum())(predicted)
+    ours = jax.grad(lambda m: losses.weighted_regression(weight, m, action, "squared").sum())(predicted)
     np.testing.assert_allclose(ours, jax.grad(likelihood)(predicted), rtol=1e-6)
-    assert jax.grad(lambda w: losses.weighted_regression(w, predicted, action).sum())(weight).tolist() == [0.0]
+    assert jax.grad(lambda w: losses.weighted_regression(w, predicted, action, "squared").sum())(weight).tolist() == [
+        0.0
+    ]
+
+
+def test_absolute_regression_pulls_alike_however_far():
+    """A Laplace distribution: the gradient is the weight over the number of dimensions, with the error's sign."""
+    action, weight = jnp.array([[0.5, -0.5]]), jnp.array([3.0])
+    predicted = jnp.array([[0.1, 0.2]])
+    gradient = jax.grad(lambda m: losses.weighted_regression(weight, m, action, "absolute").sum())(predicted)
+    np.testing.assert_allclose(gradient, [[-1.5, 1.5]], rtol=1e-6)
 
 
 def test_log_prob_by_hand():

@@ -6,16 +6,16 @@ Bellman target stops at a met goal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_positive
+from guider.learners.regression import RegressionConfig, most_likely, predict
 from guider.learners.types import Metrics, Transitions
-from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
+from guider.networks import Layers, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
 
 
@@ -29,6 +29,7 @@ class AwrConfig:
     weight_ceiling: float = 10.0
     temperature: float = 1.0
     """Advantages are divided by this before the exponential; 1 is Eq. 6."""
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
 
     def __post_init__(self) -> None:
         check_positive(self, "weight_ceiling", "temperature")
@@ -57,33 +58,31 @@ def init(key: jax.Array, config: AwrConfig, hidden: tuple[int, ...], input_dim: 
 
 def act(state: AwrState, inputs: jax.Array) -> jax.Array:
     """Mean of pi_l(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
-    return _mean(state.params.actor, inputs)
-
-
-def _mean(actor: Layers, inputs: jax.Array) -> jax.Array:
-    return jnp.tanh(mlp(actor, inputs))
+    return most_likely(state.params.actor, inputs)
 
 
 def update(
     config: AwrConfig, state: AwrState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[AwrState, Metrics]:
-    """One step of Algorithm 1, lines 17-18. `key` is not needed.
+    """One step of Algorithm 1, lines 17-18. `key` is for dropout.
 
     Critic: TD error towards r + gamma * min Q(s', pi_l(s')), sum over the twins. Actor: Eq. 6, where
     A = min Q(s, a) - min Q(s, pi_l(s)), its gradient through log pi_l alone.
     """
     old = state.params
-    next_value = twin_values(state.target_critic, batch.next_state, _mean(old.actor, batch.next_state)).min(axis=0)
+    next_value = twin_values(state.target_critic, batch.next_state, most_likely(old.actor, batch.next_state)).min(
+        axis=0
+    )
     target = losses.td_target(batch.reward, next_value, config.discount)
 
     def loss(params: Params) -> tuple[jax.Array, Metrics]:
         values = twin_values(params.critic, batch.state, batch.action)
         td = ((values - target) ** 2).mean(axis=-1).sum()
-        predicted = _mean(params.actor, batch.state)
+        predicted = predict(config.regression, params.actor, batch.state, key)
         baseline = twin_values(old.critic, batch.state, jax.lax.stop_gradient(predicted)).min(axis=0)
         advantage = jax.lax.stop_gradient(values.min(axis=0) - baseline)
         weight = losses.advantage_weight(advantage, config.temperature, config.weight_ceiling)
-        regression = losses.weighted_regression(weight, predicted, batch.action).mean()
+        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
         metrics = {
             "td_error": td,
             "value": values.mean(),

@@ -5,23 +5,25 @@ With goals taken from the future of the same episode it is GCSL; with each episo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from guider import losses
+from guider.learners.regression import RegressionConfig, most_likely, predict
 from guider.learners.types import Metrics, Transitions
-from guider.networks import Layers, mlp, mlp_init
+from guider.networks import Layers, mlp_init
 from guider.optimisers import Moments, Rate, adam_init, adam_step
 
 
 @dataclass(frozen=True)
 class GcslConfig:
-    """There is nothing to set."""
+    """Settings."""
 
     kind: Literal["gcsl"] = "gcsl"
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
 
 
 class GcslState(NamedTuple):
@@ -38,18 +40,20 @@ def init(key: jax.Array, config: GcslConfig, hidden: tuple[int, ...], input_dim:
 
 def act(state: GcslState, inputs: jax.Array) -> jax.Array:
     """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
-    return jnp.tanh(mlp(state.params, inputs))
+    return most_likely(state.params, inputs)
 
 
 def update(
     config: GcslConfig, state: GcslState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[GcslState, Metrics]:
-    """One step on the log-likelihood of the logged actions (a Gaussian of fixed spread). `key` is not needed."""
+    """One step on the log-likelihood of the logged actions (a Gaussian of fixed spread). `key` is for dropout."""
 
-    def loss(params: Layers) -> jax.Array:
-        predicted = jnp.tanh(mlp(params, batch.state))
-        return losses.weighted_regression(jnp.ones_like(batch.reward), predicted, batch.action).mean()
+    def loss(params: Layers) -> tuple[jax.Array, Metrics]:
+        predicted = predict(config.regression, params, batch.state, key)
+        weight = jnp.ones_like(batch.reward)
+        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
+        return regression, {"action_error": ((predicted - batch.action) ** 2).mean()}
 
-    error, gradients = jax.value_and_grad(loss)(state.params)
+    gradients, metrics = jax.grad(loss, has_aux=True)(state.params)
     params, optimiser = adam_step(rate, state.params, gradients, state.optimiser)
-    return GcslState(params, optimiser), {"action_error": error}
+    return GcslState(params, optimiser), metrics

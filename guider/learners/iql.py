@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_positive
+from guider.learners.regression import RegressionConfig, most_likely, predict
 from guider.learners.types import Metrics, Transitions
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
@@ -26,6 +26,7 @@ class IqlConfig:
     temperature: float = 0.1
     """Advantages are divided by this before the exponential."""
     weight_ceiling: float = 100.0
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
 
     def __post_init__(self) -> None:
         check_positive(self, "weight_ceiling", "temperature")
@@ -56,14 +57,14 @@ def init(key: jax.Array, config: IqlConfig, hidden: tuple[int, ...], input_dim: 
 
 def act(state: IqlState, inputs: jax.Array) -> jax.Array:
     """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
-    return jnp.tanh(mlp(state.params.actor, inputs))
+    return most_likely(state.params.actor, inputs)
 
 
 def update(
     config: IqlConfig, state: IqlState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[IqlState, Metrics]:
     """One step of V (expectile of Q over logged actions), Q (towards r + gamma V(s', g)) and the policy (regression
-    weighted by exp(A / temperature), A = Q - V). `key` is not needed."""
+    weighted by exp(A / temperature), A = Q - V). `key` is for dropout."""
     old = state.params
     target = losses.td_target(batch.reward, mlp(old.value, batch.next_state)[..., 0], config.discount)
     logged = twin_values(state.target_critic, batch.state, batch.action).min(axis=0)
@@ -75,8 +76,8 @@ def update(
         expectile = losses.expectile_loss(error, config.expectile).mean()
         advantage = jax.lax.stop_gradient(error)
         weight = losses.advantage_weight(advantage, config.temperature, config.weight_ceiling)
-        predicted = jnp.tanh(mlp(params.actor, batch.state))
-        regression = losses.weighted_regression(weight, predicted, batch.action).mean()
+        predicted = predict(config.regression, params.actor, batch.state, key)
+        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
         metrics = {
             "td_error": td,
             "value": values.mean(),

@@ -6,7 +6,7 @@ goal lies ahead in their own episode; the critic's target trails at every update
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
@@ -14,8 +14,9 @@ import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_not_negative, check_positive
+from guider.learners.regression import RegressionConfig, most_likely, predict
 from guider.learners.types import Metrics, Transitions
-from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
+from guider.networks import Layers, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
 
 
@@ -40,6 +41,7 @@ class WgcslConfig:
     """... up to here."""
     recent_advantages: int = 4096
     """How many advantages the percentile is taken of."""
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
 
     def __post_init__(self) -> None:
         check_positive(self, "weight_ceiling", "recent_advantages")
@@ -74,11 +76,7 @@ def init(key: jax.Array, config: WgcslConfig, hidden: tuple[int, ...], input_dim
 
 def act(state: WgcslState, inputs: jax.Array) -> jax.Array:
     """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
-    return _mean(state.params.actor, inputs)
-
-
-def _mean(actor: Layers, inputs: jax.Array) -> jax.Array:
-    return jnp.tanh(mlp(actor, inputs))
+    return most_likely(state.params.actor, inputs)
 
 
 def weights(config: WgcslConfig, advantage: jax.Array, steps: jax.Array, threshold: jax.Array) -> jax.Array:
@@ -99,7 +97,7 @@ def weights(config: WgcslConfig, advantage: jax.Array, steps: jax.Array, thresho
 def update(
     config: WgcslConfig, state: WgcslState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[WgcslState, Metrics]:
-    """One step of critic and policy. `key` is not needed.
+    """One step of critic and policy. `key` is for dropout.
 
     Rewards are 1 where the goal is met after the step, else 0, and do not end the episode; targets are clipped to
     [0, 1 / (1 - gamma)].
@@ -108,7 +106,7 @@ def update(
     reward = jnp.where(batch.reward < 0, 0.0, 1.0)
 
     def value(critic: Layers, inputs: jax.Array) -> jax.Array:
-        return twin_values(critic, inputs, _mean(old.actor, inputs)).min(axis=0)
+        return twin_values(critic, inputs, most_likely(old.actor, inputs)).min(axis=0)
 
     ceiling = 1 / (1 - config.discount)
     next_value = value(state.target_critic, batch.next_state)
@@ -125,8 +123,8 @@ def update(
     def loss(params: Params) -> tuple[jax.Array, Metrics]:
         values = twin_values(params.critic, batch.state, batch.action)
         td = ((values - target) ** 2).mean(axis=-1).sum()
-        predicted = _mean(params.actor, batch.state)
-        regression = losses.weighted_regression(weight, predicted, batch.action).mean()
+        predicted = predict(config.regression, params.actor, batch.state, key)
+        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
         metrics = {
             "td_error": td,
             "value": values.mean(),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from guider.methods import flat, guider
+from guider.methods import flat, guider, hiql, opal
 
 
 @dataclass(frozen=True)
@@ -45,5 +45,7 @@ METHODS = {
     "wgcsl": _FLAT,
     "cql-her": _FLAT,
     "iql": _FLAT,
+    "hiql": Method(hiql.HiqlConfig, hiql.init, hiql.stages, hiql.initial_acting_state, hiql.act),
+    "opal": Method(opal.OpalConfig, opal.init, opal.stages, opal.initial_acting_state, opal.act),
 }
 """Methods by name; guider.presets holds what tells those of one family apart."""

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_networks, check_not_negative, check_shares
+from guider.config import check_fraction, check_networks, check_not_negative, check_positive, check_shares
 from guider.episodes import Spaces
 from guider.goals import largest_distance
 from guider.learners import AwrConfig, LearnerConfig, Transitions, learner
@@ -20,6 +20,7 @@ from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
+from guider.networks import twin_values
 from guider.optimisers import cosine_rate
 from guider.problem import Problem
 from guider.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
@@ -64,11 +65,17 @@ class GuiderConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
+    candidates: int = 1
+    """Acting: 1 takes the mean of pi_h; more take the best, by the critic, of so many samples of rho: where several
+    things may come next, a mean lies between them (departure)."""
     final_goal_substitution: bool = False
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
     high: SubgoalPolicyConfig = field(default_factory=SubgoalPolicyConfig)
     low: GoalPolicyConfig = field(default_factory=GoalPolicyConfig)
+
+    def __post_init__(self) -> None:
+        check_positive(self, "candidates")
 
 
 class GuiderState(NamedTuple):
@@ -215,12 +222,26 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
     return ActingState(jnp.zeros((batch_size, goal_dim)), latent, jnp.zeros(batch_size, jnp.int32))
 
 
+def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+    """The mean of pi_h, or the best of `candidates`, which are the same quantiles of rho at every step.
+
+    achieved, goal: [B, G] -> [B, Z].
+    """
+    inputs = high_inputs(state.scale, achieved, goal)
+    if config.candidates == 1:
+        return subgoal_policy.propose(state.high.params, inputs).mean
+    prior = latent_subgoals.prior(state.latent.params, state.scale, achieved)
+    latents = prior.sample(jax.random.key(0), (config.candidates,)).swapaxes(0, 1)
+    values = twin_values(state.high.params.critic, inputs, latents).min(axis=0)
+    return jnp.take_along_axis(latents, values.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+
+
 def propose_subgoal(
     config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where to go next: (subgoal [..., G], latent [..., Z]), the latent being the mean of pi_h and the subgoal what it
-    decodes to, or the final goal where `final_goal_substitution` says so."""
-    latent = subgoal_policy.propose(state.high.params, high_inputs(state.scale, achieved, goal)).mean
+    """Where to go next: (subgoal [B, G], latent [B, Z]), the latent being pi_h's mean or the best of `candidates`, and
+    the subgoal what it decodes to, or the final goal where `final_goal_substitution` says so."""
+    latent = _propose_latent(config, state, achieved, goal)
     subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
     if config.final_goal_substitution:
         parts, reach_radius = config.problem.goal_parts, config.problem.reach_radius

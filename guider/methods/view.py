@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.config import check_not_negative
+from guider.config import check_not_negative, check_positive
 from guider.episodes import Episodes, Spaces
 from guider.errors import GuiderError
 from guider.problem import Problem
@@ -29,12 +29,16 @@ class ViewConfig:
     """Where it has to: from here to c steps on, or from the episode's first state to any other of it."""
     normalise: bool = False
     """Standardise what the networks see by the data's mean and spread (departure)."""
+    smallest_spread: float = 1e-3
+    """`normalise` takes smaller spreads of goal entries for this (goal units): the noise of what stands still is not
+    blown up."""
     position_waves: int = 0
     """Show places also as sines and cosines at this many frequencies, so that small networks can tell the two sides of
     a wall apart (departure; needs `normalise`)."""
 
     def __post_init__(self) -> None:
         check_not_negative(self, "minimum_move", "position_waves")
+        check_positive(self, "smallest_spread")
         if self.position_waves and not self.normalise:
             raise GuiderError("position_waves needs normalise: wavelengths are counted in spreads of the data")
 
@@ -79,7 +83,8 @@ def prepare(view: ViewConfig, problem: Problem, episodes: Episodes) -> tuple[Dat
     data = device_data(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
     if not view.normalise:
         return data, unit_scale(view, episodes.spaces)
-    return data, make_scale(episodes, np.asarray(data.window_rows), problem.period_steps, view.position_waves)
+    rows = np.asarray(data.window_rows)
+    return data, make_scale(episodes, rows, problem.period_steps, view.position_waves, view.smallest_spread)
 
 
 def learned_windows(view: ViewConfig, problem: Problem, episodes: Episodes) -> np.ndarray:
@@ -95,13 +100,14 @@ def unit_scale(view: ViewConfig, spaces: Spaces) -> Scale:
     return Scale(zeros(state_dim), ones(state_dim), zeros(goal_dim), ones(goal_dim), ones(goal_dim), frequencies)
 
 
-def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, waves: int) -> Scale:
+def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, waves: int, smallest_spread: float) -> Scale:
     """Scale from the data. starts: [W] rows that start a window of c = period_steps steps."""
     mean = episodes.observations.mean(axis=0, dtype=np.float64)
     std = np.maximum(episodes.observations.std(axis=0, dtype=np.float64), 1e-3)
     goal = list(episodes.goal_indices)
+    std[goal] = np.maximum(std[goal], smallest_spread)
     achieved = episodes.achieved
     later = np.minimum(starts + period_steps, episodes.last_rows[starts])
-    step_std = np.maximum(np.sqrt(np.mean((achieved[later] - achieved[starts]) ** 2, axis=0)), 1e-3)
+    step_std = np.maximum(np.sqrt(np.mean((achieved[later] - achieved[starts]) ** 2, axis=0)), smallest_spread)
     arrays = (mean, std, mean[goal], std[goal], step_std, wave_frequencies(waves))
     return Scale(*(jnp.asarray(array, jnp.float32) for array in arrays))

@@ -1,0 +1,39 @@
+"""Regression of logged actions, which most learners share: how errors count, and how the network is kept simple."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+
+from guider.config import check_fraction
+from guider.errors import GuiderError
+from guider.networks import Layers, mlp
+
+
+@dataclass(frozen=True)
+class RegressionConfig:
+    """Settings. Defaults are those of all authors."""
+
+    error: Literal["squared", "absolute"] = "squared"
+    """-log pi for a Gaussian of fixed spread, or for a Laplace distribution: the mean of what was done, or the median
+    (departure)."""
+    dropout: float = 0.0
+    """Of hidden units while learning (departure)."""
+
+    def __post_init__(self) -> None:
+        check_fraction(self, "dropout")
+        if self.dropout == 1:
+            raise GuiderError("dropout must be below 1")
+
+
+def most_likely(actor: Layers, inputs: jax.Array) -> jax.Array:
+    """The action pi(a | s, g) is centred on, in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
+    return jnp.tanh(mlp(actor, inputs))
+
+
+def predict(config: RegressionConfig, actor: Layers, inputs: jax.Array, key: jax.Array) -> jax.Array:
+    """The same while learning, with dropout."""
+    return jnp.tanh(mlp(actor, inputs, dropout=config.dropout, key=key))

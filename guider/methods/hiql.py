@@ -1,0 +1,352 @@
+"""HIQL (Park et al. 2023, "HIQL: Offline Goal-Conditioned RL with Latent States as Actions").
+
+One goal-conditioned value function, learned without actions, weighs two regressions: of the high level, which names a
+state k steps ahead by its representation z = phi(s, .), and of the low level, which goes there. Goals are places in
+goal space as everywhere in this package, so phi takes a state and a place. Value, high and low level are trained in
+sequence, for neither actor changes the value; the authors train all at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from guider import losses
+from guider.config import check_fraction, check_networks, check_positive
+from guider.episodes import Spaces
+from guider.errors import GuiderError
+from guider.methods.view import Scale, ViewConfig
+from guider.networks import Layers, layer_norm_mlp, mlp, mlp_init, twin_init
+from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
+from guider.problem import Problem
+from guider.samplers import Data, ValueBatch, WaypointBatch, sample_value, sample_waypoints
+from guider.training import Stage
+
+Metrics = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class ValueConfig:
+    """Settings of V(s, g) and phi(s, g). Defaults are the authors' (preset `paper`)."""
+
+    updates: int = 1_000_000
+    batch_size: int = 1024
+    learning_rate: float = 3e-4
+    decay: bool = False
+    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
+    hidden: tuple[int, ...] = (512, 512, 512)
+    representation_dim: int = 10
+    discount: float = 0.99
+    """gamma per environment step; goals of the future lie 1 / (1 - gamma) steps ahead on average."""
+    target_rate: float = 0.005
+    backup_steps: int = 1
+    """Logged steps between a state and the one it takes its target from. More steps carry values to far states in fewer
+    updates, and count what the data did in between as its best (departure)."""
+    expectile: float = 0.7
+    current_goal_fraction: float = 0.2
+    """Share of goals that are s^G_t itself."""
+    random_goal_fraction: float = 0.3
+    """Share of goals drawn from any trajectory; all others are geometric futures."""
+
+    def __post_init__(self) -> None:
+        check_networks(self)
+        check_positive(self, "representation_dim", "backup_steps")
+        check_fraction(self, "discount", "target_rate", "expectile", "current_goal_fraction", "random_goal_fraction")
+        if self.discount == 1:
+            raise GuiderError("discount must be below 1: it also says how far ahead goals lie")
+        if self.current_goal_fraction + self.random_goal_fraction > 1 + 1e-9:
+            raise GuiderError("current_goal_fraction and random_goal_fraction add up to more than 1")
+
+
+@dataclass(frozen=True)
+class ActorConfig:
+    """Settings of either level's policy. Defaults are the authors' (preset `paper`)."""
+
+    updates: int = 1_000_000
+    batch_size: int = 1024
+    learning_rate: float = 3e-4
+    decay: bool = False
+    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
+    hidden: tuple[int, ...] = (512, 512, 512)
+    temperature: float = 1.0
+    """Advantages, in environment steps, are divided by this before the exponential."""
+    weight_ceiling: float = 100.0
+
+    def __post_init__(self) -> None:
+        check_networks(self)
+        check_positive(self, "temperature", "weight_ceiling")
+
+
+@dataclass(frozen=True)
+class HiqlConfig:
+    """All of HIQL's settings. Defaults are the preset `paper`."""
+
+    problem: Problem = field(default_factory=Problem)
+    view: ViewConfig = field(default_factory=ViewConfig)
+    subgoal_steps: int = 25
+    """k: environment steps to the state that the high level names. (c of `problem` only serves `view`.)"""
+    random_goal_fraction: float = 0.3
+    """Share of the high level's goals drawn from any trajectory; all others are uniform futures."""
+    relative: bool = False
+    """Show goals as displacements from s^G_t instead of positions (departure)."""
+    value: ValueConfig = field(default_factory=ValueConfig)
+    high: ActorConfig = field(default_factory=ActorConfig)
+    low: ActorConfig = field(default_factory=ActorConfig)
+
+    def __post_init__(self) -> None:
+        check_positive(self, "subgoal_steps")
+        check_fraction(self, "random_goal_fraction")
+
+
+class ValueParams(NamedTuple):
+    """representation: phi, shared by the twins of V."""
+
+    representation: Layers
+    twins: Layers
+
+
+class ValueState(NamedTuple):
+    params: ValueParams
+    target: ValueParams
+    optimiser: Moments
+
+
+class ActorState(NamedTuple):
+    params: Layers
+    optimiser: Moments
+
+
+class HiqlState(NamedTuple):
+    """Everything that training changes or acting needs."""
+
+    scale: Scale
+    value: ValueState
+    high: ActorState
+    low: ActorState
+
+
+def init(config: HiqlConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> HiqlState:
+    """Fresh state for one seed."""
+    phi_key, twins_key, high_key, low_key = jax.random.split(key, 4)
+    wave_dim = 2 * config.view.position_waves * spaces.goal_dim
+    state_dim, place_dim = spaces.state_dim + wave_dim, spaces.goal_dim + wave_dim
+    z_dim = config.value.representation_dim
+    params = ValueParams(
+        representation=mlp_init(phi_key, (state_dim + place_dim, *config.value.hidden, z_dim)),
+        twins=twin_init(twins_key, (state_dim + z_dim, *config.value.hidden, 1)),
+    )
+    high = mlp_init(high_key, (state_dim + place_dim, *config.high.hidden, z_dim))
+    low = mlp_init(low_key, (state_dim + z_dim, *config.low.hidden, spaces.action_dim))
+    return HiqlState(
+        scale=scale,
+        value=ValueState(params, params, adam_init(params)),
+        high=ActorState(high, adam_init(high)),
+        low=ActorState(low, adam_init(low)),
+    )
+
+
+def state_inputs(scale: Scale, observation: jax.Array, achieved: jax.Array) -> jax.Array:
+    """What all networks see of a state, scaled: [..., inputs]."""
+    return jnp.concatenate([scale.state(observation), scale.waves(achieved)], axis=-1)
+
+
+def goal_inputs(
+    config: HiqlConfig, scale: Scale, observation: jax.Array, achieved: jax.Array, goal: jax.Array
+) -> jax.Array:
+    """What phi and the high level see: scaled (s, g), [..., inputs]. With `relative`, g is a displacement from s^G, in
+    spreads of the data's c-step moves: what lies k steps ahead must be told apart."""
+    seen = (goal - achieved) / scale.step_std if config.relative else scale.goal(goal)
+    return jnp.concatenate([state_inputs(scale, observation, achieved), seen, scale.waves(goal)], axis=-1)
+
+
+def normalised(vector: jax.Array) -> jax.Array:
+    """At length sqrt(Z), so that entries are of size 1. [..., Z] -> [..., Z]."""
+    length = jnp.sqrt(jnp.sum(vector**2, axis=-1, keepdims=True) + 1e-12)
+    return vector / length * vector.shape[-1] ** 0.5
+
+
+def represent(
+    config: HiqlConfig,
+    params: ValueParams,
+    scale: Scale,
+    observation: jax.Array,
+    achieved: jax.Array,
+    goal: jax.Array,
+) -> jax.Array:
+    """phi(s, g): [..., Z] of length sqrt(Z). goal: [..., G] in goal units."""
+    seen = goal_inputs(config, scale, observation, achieved, goal)
+    return normalised(layer_norm_mlp(params.representation, seen))
+
+
+def values(
+    config: HiqlConfig,
+    params: ValueParams,
+    scale: Scale,
+    observation: jax.Array,
+    achieved: jax.Array,
+    goal: jax.Array,
+) -> jax.Array:
+    """Both estimates of V(s, g): [2, B], minus the discounted steps to the goal."""
+    z = represent(config, params, scale, observation, achieved, goal)
+    seen = jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
+    return jax.vmap(lambda layers: layer_norm_mlp(layers, seen)[..., 0])(params.twins)
+
+
+def logged_return(config: HiqlConfig, batch: ValueBatch) -> tuple[jax.Array, jax.Array]:
+    """What a stretch of n steps earns, r_t + gamma * r_{t+1} + ..., and what V of the state after it counts for.
+
+    r(s, g) is 0 where s meets g, which ends the episode, and -1 elsewhere. Returns (earned [B], carried [B]): carried
+    is gamma^n, gamma^m where the data ends after m steps, and 0 where the goal is met on the way.
+    """
+    problem, discount = config.problem, config.value.discount
+    reward = jax.vmap(lambda place: losses.goal_reward(place, batch.goal, problem.radius, problem.goal_parts), 1, 1)(
+        batch.achieved
+    )
+    on_the_way = jnp.cumprod(reward < 0, axis=1)  # 1 until the goal is met
+    factor = discount ** jnp.arange(reward.shape[1])
+    earned = jnp.where(batch.valid, factor * on_the_way * reward, 0.0).sum(axis=1)
+    return earned, discount ** batch.valid.sum(axis=1) * on_the_way[:, -1]
+
+
+def value_loss(
+    config: HiqlConfig, params: ValueParams, target_params: ValueParams, scale: Scale, batch: ValueBatch
+) -> tuple[jax.Array, Metrics]:
+    """Expectile regression of V(s, g) on r(s, g) + gamma * V_target(s', g), with no action in it; sum over the twins.
+
+    Each twin regresses on its own target, but which side of the expectile a row is on is the same for both: the sign
+    of A = r + gamma * min V_target(s', g) minus the mean of V_target(s, g).
+    """
+    settings = config.value
+    earned, carried = logged_return(config, batch)
+    begin = batch.achieved[:, 0]
+    following = values(config, target_params, scale, batch.end_observation, batch.end, batch.goal)
+    current = values(config, target_params, scale, batch.observation, begin, batch.goal).mean(axis=0)
+    advantage = earned + carried * following.min(axis=0) - current
+    target = jax.lax.stop_gradient(earned + carried * following)
+    estimate = values(config, params, scale, batch.observation, begin, batch.goal)
+    weight = jnp.where(advantage >= 0, settings.expectile, 1 - settings.expectile)
+    error = jax.lax.stop_gradient(weight) * (target - estimate) ** 2
+    metrics = {"value_error": error.mean(), "value": estimate.mean(), "advantage": advantage.mean()}
+    return error.mean(axis=-1).sum(), metrics
+
+
+def _regression(
+    settings: ActorConfig, advantage: jax.Array, predicted: jax.Array, target: jax.Array
+) -> tuple[jax.Array, Metrics]:
+    weight = losses.advantage_weight(advantage, settings.temperature, settings.weight_ceiling)
+    metrics = {
+        "advantage": advantage.mean(),
+        "advantage_std": advantage.std(),
+        "weight": weight.mean(),
+        "error": ((predicted - target) ** 2).mean(),
+    }
+    return losses.weighted_regression(weight, predicted, target, "squared").mean(), metrics
+
+
+def high_loss(
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+) -> tuple[jax.Array, Metrics]:
+    """Regression of pi_h(s, g) on phi(s, s_{t+k}), weighted by exp(A / temperature), A = V(s_{t+k}, g) - V(s, g).
+
+    A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there.
+    """
+    begin = values(config, value, scale, batch.observation, batch.achieved, batch.goal).mean(axis=0)
+    end = values(config, value, scale, batch.ahead_observation, batch.ahead, batch.goal).mean(axis=0)
+    target = represent(config, value, scale, batch.observation, batch.achieved, batch.ahead)
+    predicted = propose(config, params, scale, batch.observation, batch.achieved, batch.goal)
+    return _regression(config.high, end - begin, predicted, target)
+
+
+def low_loss(
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+) -> tuple[jax.Array, Metrics]:
+    """Regression of pi_l(s, z) on the logged action, z = phi(s, s_{t+k}), weighted by exp(A / temperature),
+    A = V(s', s_{t+k}) - V(s, s_{t+k})."""
+    begin = values(config, value, scale, batch.observation, batch.achieved, batch.ahead).mean(axis=0)
+    end = values(config, value, scale, batch.next_observation, batch.next_achieved, batch.ahead).mean(axis=0)
+    z = represent(config, value, scale, batch.observation, batch.achieved, batch.ahead)
+    predicted = control(params, scale, batch.observation, batch.achieved, z)
+    return _regression(config.low, end - begin, predicted, batch.action)
+
+
+def propose(
+    config: HiqlConfig, params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, goal: jax.Array
+) -> jax.Array:
+    """Mean of pi_h(z | s, g), [..., Z]; its length is not sqrt(Z) yet."""
+    return mlp(params, goal_inputs(config, scale, observation, achieved, goal), jax.nn.gelu)
+
+
+def control(params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array) -> jax.Array:
+    """Mean of pi_l(a | s, z), [..., A] in [-1, 1]."""
+    seen = jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
+    return jnp.tanh(mlp(params, seen, jax.nn.gelu))
+
+
+def stages(config: HiqlConfig) -> tuple[Stage, ...]:
+    """Value, high level and low level as three stages for the engine."""
+
+    def update_value(state: HiqlState, data: Data, key: jax.Array):
+        settings, old = config.value, state.value
+        batch = sample_value(
+            data,
+            key,
+            settings.batch_size,
+            settings.backup_steps,
+            1 / (1 - settings.discount),
+            settings.current_goal_fraction,
+            settings.random_goal_fraction,
+        )
+        rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
+        gradients, metrics = jax.grad(
+            lambda params: value_loss(config, params, old.target, state.scale, batch), has_aux=True
+        )(old.params)
+        params, optimiser = adam_step(rate, old.params, gradients, old.optimiser)
+        return ValueState(params, trail(old.target, params, settings.target_rate), optimiser), metrics
+
+    def actor_update(settings: ActorConfig, old: ActorState, loss):
+        rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
+        gradients, metrics = jax.grad(loss, has_aux=True)(old.params)
+        return ActorState(*adam_step(rate, old.params, gradients, old.optimiser)), metrics
+
+    def update_high(state: HiqlState, data: Data, key: jax.Array):
+        batch = sample_waypoints(data, key, config.high.batch_size, config.subgoal_steps, config.random_goal_fraction)
+        value, scale = state.value.params, state.scale
+        return actor_update(config.high, state.high, lambda p: high_loss(config, p, value, scale, batch))
+
+    def update_low(state: HiqlState, data: Data, key: jax.Array):
+        # No goal ends the way to s_{t+k} early.
+        batch = sample_waypoints(data, key, config.low.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
+        value, scale = state.value.params, state.scale
+        return actor_update(config.low, state.low, lambda p: low_loss(config, p, value, scale, batch))
+
+    return (
+        Stage("value", "value", config.value.updates, update_value),
+        Stage("high level", "high", config.high.updates, update_high),
+        Stage("low level", "low", config.low.updates, update_low),
+    )
+
+
+def initial_acting_state(config: HiqlConfig, goal_dim: int, batch_size: int) -> tuple[()]:
+    """Nothing is remembered between steps."""
+    return ()
+
+
+def act(
+    config: HiqlConfig,
+    state: HiqlState,
+    goal_indices: tuple[int, ...],
+    observation: jax.Array,
+    goal: jax.Array,
+    acting: tuple[()],
+    reset_mask: jax.Array,
+) -> tuple[jax.Array, tuple[()]]:
+    """The most likely actions [B, A] in [-1, 1], for a subgoal that is new at every step, as the authors' code acts.
+
+    observation: [B, S]; goal: [B, G].
+    """
+    achieved = observation[..., jnp.asarray(goal_indices)]
+    z = normalised(propose(config, state.high.params, state.scale, observation, achieved, goal))
+    return control(state.low.params, state.scale, observation, achieved, z), ()

@@ -1,0 +1,83 @@
+"""What every method must do: learn a small task, be the same from the same seed, resume to the bit, train several seeds
+at once, and take ragged episodes."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_ragged, tiny
+from test_guider import corridor
+from test_runs import assert_bit_equal
+
+import guider
+from guider import runs
+from guider.config import differences, from_dict, to_dict
+from guider.episodes import Spaces
+from guider.methods import METHODS
+from guider.methods.view import prepare
+from guider.policy import Policy, act, initial_state
+from guider.presets import preset_config
+from guider.problem import Problem
+from guider.training import init_seeds, train
+
+PROBLEM = Problem(radius=0.5, reach_radius=1.0, period_steps=5)
+
+
+def settings(method: str) -> dict[str, str]:
+    """--set arguments that make a run of the method small."""
+    config = preset_config(method, "fast", PROBLEM)
+    small = tiny(config, updates=8, hidden=(8,), batch_size=8)
+    return {name: str(value) for name, value in differences(small, config).items()}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_learns_to_walk_a_corridor_either_way(method):
+    """Goals 6 m away, which the recorded episodes reach and pass; the corridor is 20 m long."""
+    episodes = corridor()
+    config = tiny(preset_config(method, "fast", PROBLEM), updates=1000, hidden=(32, 32), batch_size=128)
+    data, scale = prepare(config.view, config.problem, episodes)
+    functions = METHODS[method]
+    state = init_seeds(lambda key: functions.init(config, episodes.spaces, scale, key), (0,))
+    state = jax.tree.map(lambda leaf: leaf[0], train(functions.stages(config), state, data, (0,)))
+    spaces: Spaces = episodes.spaces
+    policy = Policy(state, -jnp.ones(1), jnp.ones(1), method, config, spaces.goal_indices, 1)
+    position, goal = jnp.array([[-3.0], [3.0]]), jnp.array([[3.0], [-3.0]])
+    acting, met = initial_state(policy, 2), np.zeros(2, bool)
+    for step in range(25):
+        actions, acting = act(policy, position, goal, acting, jnp.full(2, step == 0))
+        position = jnp.clip(position + actions, -10, 10)
+        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
+    assert met.all()
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if not name.startswith("guider-")])
+def test_two_seeds_on_ragged_episodes_resume_to_the_bit(method, tmp_path):
+    def stop(chunk, state):
+        if chunk.position.update == 6:
+            raise KeyboardInterrupt
+
+    own = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "method": method, "settings": settings(method)}
+    pace = runs.Pace(chunk_updates=3, checkpoint_seconds=0.0)
+    logs = make_ragged((7, 30, 12, 25, 55, 18, 9, 40, 33, 21))
+    whole = guider.train(data=logs, out=tmp_path / "whole", seeds=2, pace=pace, **own)
+    with pytest.raises(KeyboardInterrupt):
+        guider.train(data=logs, out=tmp_path / "cut", seeds=2, pace=pace, on_chunk=stop, **own)
+    assert_bit_equal(whole, guider.resume(tmp_path / "cut", logs))
+    first, second = whole.policies()
+    assert not all(
+        np.array_equal(a, b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    ), "seeds differ"
+    action = guider.load(whole, seed=1).act(np.zeros(4), np.ones(2))
+    assert action.shape == (2,) and np.isfinite(action).all()
+    scores = guider.evaluate(whole, data=logs)["per_seed"]
+    assert all(np.isfinite(score["action_error"]) for score in scores)
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+@pytest.mark.parametrize("domain", [None, "antmaze", "pointmaze", "fetch", "kitchen"])
+def test_settings_of_every_method_and_domain_survive_json(preset, domain):
+    for method in METHODS:
+        config = preset_config(method, preset, Problem(domain=domain))
+        assert from_dict(METHODS[method].config_type, to_dict(config)) == config

@@ -1,0 +1,246 @@
+"""OPAL's parts against hand-worked cases, and a small task learned to a stated score."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_ragged
+from test_guider import corridor
+from test_samplers import labelled
+
+from guider import losses
+from guider.config import from_dict, override, to_dict
+from guider.errors import GuiderError
+from guider.methods import opal as method
+from guider.methods.opal import OpalConfig
+from guider.methods.view import Scale, prepare
+from guider.networks import Gru, gru, gru_init
+from guider.policy import Policy, compiled_act, initial_state
+from guider.presets import Changes, opal_config
+from guider.problem import Problem
+from guider.samplers import SkillBatch, Trajectories, device_data, sample_skills, sample_trajectories
+from guider.training import init_seeds, train
+
+SMALL: Changes = {
+    "skills.updates": 10,
+    "skills.hidden": (16, 16),
+    "skills.encoder_hidden": 16,
+    "skills.encoder_stride": 2,
+    "skills.latent_dim": 3,
+    "skills.batch_size": 32,
+    "high.updates": 10,
+    "high.hidden": (16, 16),
+    "high.batch_size": 32,
+    "high.samples": 2,
+}
+
+
+def small(changes: Changes) -> OpalConfig:
+    return override(opal_config("paper", Problem(0.5, 1.0, period_steps=5)), SMALL | changes)
+
+
+def unit() -> Scale:
+    return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
+
+
+def fresh(config: OpalConfig) -> method.OpalState:
+    return jax.jit(lambda key: method.init(config, make_ragged().spaces, unit(), key))(jax.random.key(0))
+
+
+def test_every_part_learns_in_its_stage_only_and_acts():
+    config, episodes = small({}), make_ragged()
+    data, scale = prepare(config.view, config.problem, episodes)
+    state = jax.jit(lambda key: method.init(config, episodes.spaces, scale, key))(jax.random.key(0))
+    assert [stage.part for stage in method.stages(config)] == ["skills", "high"]
+    for stage in method.stages(config):
+        part, metrics = jax.jit(stage.update)(state, data, jax.random.key(1))
+        moved = jax.tree.map(jnp.array_equal, part.params, getattr(state, stage.part).params)
+        assert not all(jax.tree.leaves(moved)), f"{stage.name} did not learn"
+        assert all(bool(jnp.isfinite(value)) for value in metrics.values())
+        state = state._replace(**{stage.part: part})
+    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "opal", config, (0, 1), 4)
+    actions, _ = compiled_act(policy, jnp.zeros((3, 4)), jnp.ones((3, 2)), initial_state(policy, 3), jnp.ones(3, bool))
+    assert actions.shape == (3, 2) and bool(jnp.all(jnp.abs(actions) <= 1))
+
+
+def test_paper_settings_and_faults():
+    paper = opal_config("paper", Problem())
+    assert paper == OpalConfig() and from_dict(OpalConfig, to_dict(paper)) == paper
+    assert not paper.high.prior and opal_config("fast", Problem()).high.prior
+    assert (paper.skills.latent_dim, paper.skills.beta, paper.skills.encoder_stride) == (8, 0.1, 1)
+    with pytest.raises(GuiderError, match="encoder_stride must be above 0"):
+        override(paper, {"skills.encoder_stride": 0})
+
+
+def test_gru_step_by_hand():
+    """One unit, one input x = 2, from a state of 0.5 that a first entry left there."""
+    weights = Gru(jnp.array([[0.1, 0.2, 0.3]]), jnp.array([[0.4, 0.5, 0.6]]), jnp.array([0.7, 0.8, 0.9]), jnp.ones(1))
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    def step(h, x):
+        reset, update = sigmoid(0.1 * x + 0.4 * h + 0.7), sigmoid(0.2 * x + 0.5 * h + 0.8)
+        return update * h + (1 - update) * np.tanh(0.3 * x + 0.9 + reset * (0.6 * h + 1.0))
+
+    first, second = step(0.0, -1.0), step(step(0.0, -1.0), 2.0)
+    inputs = jnp.array([[[-1.0], [2.0]]] * 2)
+    ends = gru(weights, inputs, jnp.array([[True, True], [True, False]]))
+    np.testing.assert_allclose(ends[:, 0], [second, first], rtol=1e-6)
+    backward = gru(weights, inputs, jnp.ones((2, 2), bool), reverse=True)
+    np.testing.assert_allclose(backward[:, 0], step(step(0.0, 2.0), -1.0), rtol=1e-6)
+
+
+def test_gru_passes_over_what_is_not_valid():
+    weights, inputs = gru_init(jax.random.key(0), 3, 4), jax.random.normal(jax.random.key(1), (2, 6, 3))
+    valid = jnp.arange(6) < jnp.array([[6], [4]])
+    for reverse in (False, True):
+        both = gru(weights, inputs, valid, reverse)
+        alone = gru(weights, inputs[1:, :4], jnp.ones((1, 4), bool), reverse)
+        np.testing.assert_allclose(both[1:], alone, rtol=1e-5)
+
+
+def window(steps: int = 5) -> Trajectories:
+    """Two windows, the second ending after three steps."""
+    observations = jax.random.normal(jax.random.key(5), (2, steps, 4))
+    actions = jax.random.uniform(jax.random.key(6), (2, steps, 2), minval=-1.0)
+    return Trajectories(observations, actions, jnp.arange(steps) < jnp.array([[steps], [3]]))
+
+
+@pytest.mark.parametrize("stride", [1, 2, 7])
+def test_nothing_beyond_the_episode_gets_in(stride):
+    """Neither the encoding nor the loss changes with what stands beyond, and every step within matters."""
+    config = small({"skills.encoder_stride": stride})
+    params, given = fresh(config).skills.params, window()
+    beyond = (~given.valid)[..., None]
+    other = Trajectories(
+        jnp.where(beyond, 99.0, given.observations), jnp.where(beyond, -99.0, given.actions), given.valid
+    )
+
+    @jax.jit
+    def look(window):
+        loss, _ = method.skills_loss(config.skills, params, unit(), window, jax.random.key(2))
+        return method.encode(config.skills, params, unit(), window).mean, loss
+
+    for first, second in zip(look(given), look(other), strict=True):
+        np.testing.assert_array_equal(first, second)
+    for step in range(3):
+        moved, _ = look(given._replace(actions=given.actions.at[:, step].add(0.5)))
+        assert float(jnp.abs(moved - look(given)[0]).min()) > 0
+
+
+def test_evidence_lower_bound_by_hand():
+    """A decoder that answers 0 and actions of (0.5, 1): an error of 0.625 a step, five steps in one window and three in
+    the other; q = N(0, 1) and rho = N(1, 1) in three dimensions are 1.5 nats apart."""
+    config = small({"skills.beta": 0.2})
+    params = jax.tree.map(jnp.zeros_like, fresh(config).skills.params)
+    *hidden, (weight, bias) = params.prior
+    params = params._replace(prior=(*hidden, (weight, bias.at[:3].set(1.0))))
+    given = window()._replace(actions=jnp.broadcast_to(jnp.array([0.5, 1.0]), (2, 5, 2)))
+    loss, metrics = method.skills_loss(config.skills, params, unit(), given, jax.random.key(0))
+    assert float(loss) == pytest.approx((5 + 3) * 0.625 / 2 + 0.2 * 1.5)
+    assert float(metrics["kl"]) == pytest.approx(1.5)
+    assert float(metrics["action_error"]) == pytest.approx(0.625)
+
+
+def test_high_transitions_by_hand():
+    """z is drawn from the window's posterior; the goal is met or not where the window ends, whatever lies between."""
+    config = small({})
+    state, given = fresh(config), window()
+    batch = SkillBatch(
+        trajectories=given,
+        later_observation=jnp.full((2, 4), 3.0),
+        achieved=given.observations[:, 0, :2],
+        later=jnp.full((2, 2), 3.0),
+        goal=jnp.array([[3.3, 3.3], [3.4, 3.4]]),
+    )
+    seen = method.relabel(config, state, batch, jax.random.key(1))
+    assert seen.reward.tolist() == [0.0, -1.0], "0.42 and 0.57 from the goal"
+    np.testing.assert_array_equal(seen.state, jnp.concatenate([given.observations[:, 0], batch.goal], axis=1))
+    np.testing.assert_array_equal(seen.next_state, jnp.concatenate([batch.later_observation, batch.goal], axis=1))
+    posterior = method.encode(config.skills, state.skills.params, unit(), given)
+    np.testing.assert_allclose(seen.latent, posterior.sample(jax.random.key(1)), rtol=1e-6)
+    prior = method.prior(state.skills.params, unit(), given.observations[:, 0])
+    assert float(losses.gaussian_kl(seen.prior, prior).max()) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_relative_goals_are_displacements():
+    config = small({"relative": True})
+    scale = unit()._replace(goal_std=jnp.full(2, 2.0))
+    seen = method.high_inputs(config, scale, jnp.zeros((1, 4)), jnp.array([[1.0, 2.0]]), jnp.array([[5.0, 0.0]]))
+    assert seen.tolist() == [[0, 0, 0, 0, 2, -1]]
+
+
+@pytest.mark.parametrize("boundary", ["clip", "drop"])
+def test_windows_stay_in_their_episode(boundary):
+    lengths = np.array([3, 9, 40])
+    data = device_data(labelled(lengths), 6, boundary, 0.0)
+    data = data._replace(actions=data.achieved)  # an action tells its row
+    for given in (
+        sample_trajectories(data, jax.random.key(0), 2_000, 6),
+        (batch := sample_skills(data, jax.random.key(1), 2_000, 6, 0, 1.0, 0.0)).trajectories,
+    ):
+        start = np.asarray(given.observations[:, 0], int)
+        last = lengths[start[:, 0]] - 1
+        step = start[:, 1:] + np.arange(6)
+        assert np.array_equal(given.valid, step < last[:, None])
+        assert given.valid.all() == (boundary == "drop") and np.all(given.valid[:, 0])
+        rows = np.stack([np.repeat(start[:, :1], 6, axis=1), np.minimum(step, last[:, None])], axis=-1)
+        assert np.array_equal(given.observations, rows) and np.array_equal(given.actions, rows)
+    later = np.minimum(start[:, 1] + 6, last)
+    assert np.array_equal(batch.achieved, start) and np.array_equal(batch.later, batch.later_observation)
+    assert np.array_equal(batch.later, np.stack([start[:, 0], later], axis=1))
+    assert np.array_equal(batch.goal[:, 0], start[:, 0])
+    assert np.all(batch.goal[:, 1] >= later) and np.all(batch.goal[:, 1] <= last)
+
+
+def test_a_new_skill_every_period_and_at_resets():
+    """All networks answer 0, and between steps 1 is added to the skill: it counts the steps it has been held."""
+    config = override(small({}), {"problem.period_steps": 3, "skills.latent_dim": 1})
+    state = jax.tree.map(jnp.zeros_like, fresh(config))
+    policy = Policy(state._replace(scale=unit()), -jnp.ones(2), jnp.ones(2), "opal", config, (0, 1), 4)
+    acting, steps_left = initial_state(policy, 2), []
+    begins = [[True, True], [False, False], [False, True], [False, False], [False, False]]
+    for reset in begins:
+        acting = acting._replace(latent=acting.latent + 1)
+        _, acting = compiled_act(policy, jnp.zeros((2, 4)), jnp.zeros((2, 2)), acting, jnp.array(reset))
+        steps_left.append((acting.steps_left.tolist(), acting.latent[:, 0].tolist()))
+    assert steps_left == [
+        ([2, 2], [0, 0]),
+        ([1, 1], [1, 1]),
+        ([0, 2], [2, 0]),
+        ([2, 1], [0, 1]),
+        ([1, 0], [1, 2]),
+    ]
+
+
+def test_opal_learns_to_cross_a_corridor_longer_than_its_episodes_go():
+    """Goals 15 m away, either way, met within 60 steps; recorded episodes move 13 m on average, against noise."""
+    config = override(
+        opal_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)),
+        {
+            "skills.updates": 1500,
+            "skills.latent_dim": 1,
+            "skills.hidden": (32, 32),
+            "skills.encoder_hidden": 16,
+            "high.updates": 2000,
+            "high.hidden": (32, 32),
+            "high.batch_size": 128,
+            "high.target_rate": 0.02,
+            "high.target_divergence": 1.0,  # a mean over latent dimensions, and here is one
+        },
+    )
+    episodes = corridor()
+    data, scale = prepare(config.view, config.problem, episodes)
+    state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), (0,))
+    state = jax.tree.map(lambda leaf: leaf[0], train(method.stages(config), state, data, (0,)))
+    policy = Policy(state, -jnp.ones(1), jnp.ones(1), "opal", config, (0,), 1)
+    position, goal = jnp.array([[-7.5], [7.5]]), jnp.array([[7.5], [-7.5]])
+    acting, met = initial_state(policy, 2), np.zeros(2, bool)
+    for step in range(60):
+        actions, acting = compiled_act(policy, position, goal, acting, jnp.full(2, step == 0))
+        position = jnp.clip(position + actions, -10, 10)
+        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
+    assert met.all()
