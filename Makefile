@@ -20,7 +20,7 @@ demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes o
 	$(BIN)/guider plot $(RUN)
 
 test: .venv/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 lint: .venv/installed
 	$(BIN)/ruff format --check .
