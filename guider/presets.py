@@ -166,6 +166,7 @@ def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
         paper,
         view=_fast_view(problem),
         relative=True,
+        subgoal="place",
         value=replace(
             paper.value,
             updates=20_000,

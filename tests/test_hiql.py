@@ -225,9 +225,16 @@ def test_value_stretches_stay_in_their_episode():
     assert np.array_equal(batch.end, rows[:, 6]) and np.array_equal(batch.end_observation, rows[:, 6])
 
 
-def test_hiql_learns_to_cross_a_corridor_longer_than_its_episodes_go():
+@pytest.mark.parametrize("subgoal", ["representation", "place"])
+def test_hiql_learns_to_cross_a_corridor_longer_than_its_episodes_go(subgoal):
     """Goals 15 m away, either way, met within 40 steps; recorded episodes move 13 m on average, against noise."""
-    budgets: Changes = {"subgoal_steps": 5, "value.updates": 3000, "high.updates": 1000, "low.updates": 1000}
+    budgets: Changes = {
+        "subgoal": subgoal,
+        "subgoal_steps": 5,
+        "value.updates": 3000,
+        "high.updates": 1000,
+        "low.updates": 1000,
+    }
     for part in ("value", "high", "low"):
         budgets |= {f"{part}.hidden": (32, 32), f"{part}.batch_size": 128}
     config = override(hiql_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)), budgets)

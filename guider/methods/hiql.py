@@ -9,7 +9,7 @@ sequence, for neither actor changes the value; the authors train all at once.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -90,6 +90,9 @@ class HiqlConfig:
     """k: environment steps to the state that the high level names. (c of `problem` only serves `view`.)"""
     random_goal_fraction: float = 0.3
     """Share of the high level's goals drawn from any trajectory; all others are uniform futures."""
+    subgoal: Literal["representation", "place"] = "representation"
+    """What the high level names: phi(s, s_{t+k}), or the displacement s^G_{t+k} - s^G_t itself (departure): with little
+    training, phi knows how far a place is, and hardly in which direction."""
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
     value: ValueConfig = field(default_factory=ValueConfig)
@@ -133,10 +136,11 @@ def init(config: HiqlConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> Hi
     phi_key, twins_key, high_key, low_key = jax.random.split(key, 4)
     wave_dim = 2 * config.view.position_waves * spaces.goal_dim
     state_dim, place_dim = spaces.state_dim + wave_dim, spaces.goal_dim + wave_dim
-    z_dim = config.value.representation_dim
+    phi_dim = config.value.representation_dim
+    z_dim = phi_dim if config.subgoal == "representation" else spaces.goal_dim
     params = ValueParams(
-        representation=mlp_init(phi_key, (state_dim + place_dim, *config.value.hidden, z_dim)),
-        twins=twin_init(twins_key, (state_dim + z_dim, *config.value.hidden, 1)),
+        representation=mlp_init(phi_key, (state_dim + place_dim, *config.value.hidden, phi_dim)),
+        twins=twin_init(twins_key, (state_dim + phi_dim, *config.value.hidden, 1)),
     )
     high = mlp_init(high_key, (state_dim + place_dim, *config.high.hidden, z_dim))
     low = mlp_init(low_key, (state_dim + z_dim, *config.low.hidden, spaces.action_dim))
@@ -233,6 +237,20 @@ def value_loss(
     return error.mean(axis=-1).sum(), metrics
 
 
+def name_subgoal(
+    config: HiqlConfig,
+    params: ValueParams,
+    scale: Scale,
+    observation: jax.Array,
+    achieved: jax.Array,
+    place: jax.Array,
+) -> jax.Array:
+    """z, by which a place in goal space is named to the low level: [..., Z]."""
+    if config.subgoal == "place":
+        return (place - achieved) / scale.step_std
+    return represent(config, params, scale, observation, achieved, place)
+
+
 def _regression(
     settings: ActorConfig, advantage: jax.Array, predicted: jax.Array, target: jax.Array
 ) -> tuple[jax.Array, Metrics]:
@@ -249,13 +267,14 @@ def _regression(
 def high_loss(
     config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
 ) -> tuple[jax.Array, Metrics]:
-    """Regression of pi_h(s, g) on phi(s, s_{t+k}), weighted by exp(A / temperature), A = V(s_{t+k}, g) - V(s, g).
+    """Regression of pi_h(s, g) on z of s_{t+k} (`name_subgoal`), weighted by exp(A / temperature),
+    A = V(s_{t+k}, g) - V(s, g).
 
     A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there.
     """
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.goal).mean(axis=0)
     end = values(config, value, scale, batch.ahead_observation, batch.ahead, batch.goal).mean(axis=0)
-    target = represent(config, value, scale, batch.observation, batch.achieved, batch.ahead)
+    target = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
     predicted = propose(config, params, scale, batch.observation, batch.achieved, batch.goal)
     return _regression(config.high, end - begin, predicted, target)
 
@@ -263,11 +282,11 @@ def high_loss(
 def low_loss(
     config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
 ) -> tuple[jax.Array, Metrics]:
-    """Regression of pi_l(s, z) on the logged action, z = phi(s, s_{t+k}), weighted by exp(A / temperature),
+    """Regression of pi_l(s, z) on the logged action, z that of s_{t+k}, weighted by exp(A / temperature),
     A = V(s', s_{t+k}) - V(s, s_{t+k})."""
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.ahead).mean(axis=0)
     end = values(config, value, scale, batch.next_observation, batch.next_achieved, batch.ahead).mean(axis=0)
-    z = represent(config, value, scale, batch.observation, batch.achieved, batch.ahead)
+    z = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
     predicted = control(params, scale, batch.observation, batch.achieved, z)
     return _regression(config.low, end - begin, predicted, batch.action)
 
@@ -348,5 +367,7 @@ def act(
     observation: [B, S]; goal: [B, G].
     """
     achieved = observation[..., jnp.asarray(goal_indices)]
-    z = normalised(propose(config, state.high.params, state.scale, observation, achieved, goal))
+    z = propose(config, state.high.params, state.scale, observation, achieved, goal)
+    if config.subgoal == "representation":
+        z = normalised(z)
     return control(state.low.params, state.scale, observation, achieved, z), ()
