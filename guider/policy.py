@@ -100,7 +100,7 @@ class Agent:
         """[G] the subgoal now pursued, in goal units. Raises GuiderError if the method has none."""
         pursued = METHODS[self.policy.method].pursued
         if pursued is None:
-            raise GuiderError(f"{self.policy.method} pursues the goal itself, without subgoals")
+            raise GuiderError(f"{self.policy.method} has no subgoals in goal space")
         return np.asarray(pursued(self.policy.config, self._state)[0][0])
 
 

@@ -12,9 +12,10 @@ from test_guider import corridor
 from test_runs import assert_bit_equal
 
 import guider
-from guider import runs
+from guider import api, runs
 from guider.config import differences, from_dict, to_dict
 from guider.episodes import Spaces
+from guider.errors import GuiderError
 from guider.methods import METHODS
 from guider.methods.view import prepare
 from guider.policy import Policy, act, initial_state
@@ -69,10 +70,23 @@ def test_two_seeds_on_ragged_episodes_resume_to_the_bit(method, tmp_path):
     assert not all(
         np.array_equal(a, b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
     ), "seeds differ"
-    action = guider.load(whole, seed=1).act(np.zeros(4), np.ones(2))
+    agent = guider.load(whole, seed=1)
+    action = agent.act(np.zeros(4), np.ones(2))
     assert action.shape == (2,) and np.isfinite(action).all()
+    if METHODS[method].pursued:
+        assert agent.subgoal.shape == (2,)
+    else:
+        with pytest.raises(GuiderError, match=f"{method} has no subgoals"):
+            _ = agent.subgoal
     scores = guider.evaluate(whole, data=logs)["per_seed"]
     assert all(np.isfinite(score["action_error"]) for score in scores)
+
+
+def test_pictures_of_a_method_without_subgoals_are_its_curves(tmp_path):
+    own = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": settings("bc")}
+    logs = make_ragged((30, 30, 30))
+    run = guider.train(data=logs, out=tmp_path / "run", method="bc", **own)
+    assert [path.name for path in api.plot(run, data=logs)] == ["learning.png"]
 
 
 @pytest.mark.parametrize("preset", ["paper", "fast"])
