@@ -57,13 +57,16 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
 _FLAT: Changes = {
     "learner.samples": 2,
     "learner.conservative_weight": 1.0,
-    "learner.percentile_rise": 0.02,
     "learner.expectile": 0.7,
     "learner.temperature": 0.5,
 }
+# Goals hundreds of steps ahead; and where all episodes are alike, the best advantages are noise.
+_LONG: Changes = {"learner.discount": 0.995, "learner.best_advantage_weight": False}
 FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "antmaze": _LONG,
+    "pointmaze": _LONG,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
 }
 """The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
 
