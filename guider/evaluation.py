@@ -93,13 +93,11 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     steps = np.full(env.count, task.horizon_steps)
     reset_mask = jnp.ones(env.count, bool)
     no_reset = jnp.zeros(env.count, bool)
-    pursued = METHODS[policy.method].pursued
     history = []
     for step in range(task.horizon_steps):
         actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
         if keep_traces:
-            subgoal, renewed = pursued(policy.config, acting) if pursued else (goal, reset_mask)
-            seen = (observation[:, goal_indices], subgoal, renewed)
+            seen = (observation[:, goal_indices], *_pursued(policy, acting, goal, reset_mask))
             history.append([np.array(part[:keep_traces]) for part in seen])
         observation = env.step(np.asarray(actions), active)
         distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
@@ -119,6 +117,12 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     lengths = np.full(env.count, task.horizon_steps) if task.score == "return" else steps
     traces = _traces(history, success, lengths, goal)
     return Rollouts(score[task.score], success, steps, traces)
+
+
+def _pursued(policy, acting, goal, begins):
+    """(subgoals, whether each is new), both [count, ...]; without subgoals, the goal from the first step on."""
+    pursued = METHODS[policy.method].pursued
+    return pursued(policy.config, acting) if pursued else (goal, begins)
 
 
 def _traces(history, success, steps, goal) -> tuple[Trace, ...]:

@@ -81,7 +81,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
         (["collect", "pointmaze-umaze", "--seed", "-1", "--out", "x.hdf5"], "--seed at least 0"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes must be 1 or more"),
         (["train", "pointmaze-umaze", "--data", "x", "--seeds", "0"], "--seeds must be 1 or more"),
-        (["train", "pointmaze-umaze", "--data", "x", "--set", "radius=3"], "radius is no setting"),
+        (["train", "pointmaze-umaze", "--data", "x", "--set", "problem.radius=3"], "problem.radius is no setting"),
         (["train", "--resume", "nowhere", "--seeds", "2"], "--resume takes all settings from the run"),
     ],
 )
