@@ -248,6 +248,24 @@ def sample_windows(data: Data, key: jax.Array, batch_size: int, period_steps: in
     return Windows(data.achieved[rows], data.achieved[later])
 
 
+def _windows_with_goals(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    period_steps: int,
+    goal_offset: int,
+    relabel_fraction: float,
+    random_goal_fraction: float,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Rows where uniform c-step windows start and end, [B] each, and goals from their ends on, [B, G]."""
+    row_key, goal_key = jax.random.split(key)
+    rows = _choose(row_key, data.window_rows, batch_size)
+    last = data.last_row[rows]
+    later = jnp.minimum(rows + period_steps, last)
+    goal, _ = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    return rows, later, goal
+
+
 def sample_high(
     data: Data,
     key: jax.Array,
@@ -262,11 +280,9 @@ def sample_high(
     A relabelled goal is s^G_i with i uniform in [t + c + goal_offset, T]; offset 1 is the paper's strict
     range, 0 the authors' code. Where that range is empty, i = T.
     """
-    row_key, goal_key = jax.random.split(key)
-    rows = _choose(row_key, data.window_rows, batch_size)
-    last = data.last_row[rows]
-    later = jnp.minimum(rows + period_steps, last)
-    goal, _ = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    rows, later, goal = _windows_with_goals(
+        data, key, batch_size, period_steps, goal_offset, relabel_fraction, random_goal_fraction
+    )
     return HighBatch(data.achieved[rows], data.achieved[later], goal)
 
 
@@ -409,11 +425,9 @@ def sample_skills(
     random_goal_fraction: float,
 ) -> SkillBatch:
     """High-level transitions with hindsight goals as in `sample_high`, and the c steps that were taken."""
-    row_key, goal_key = jax.random.split(key)
-    rows = _choose(row_key, data.window_rows, batch_size)
-    last = data.last_row[rows]
-    later = jnp.minimum(rows + period_steps, last)
-    goal, _ = _goals(data, goal_key, later + goal_offset, last, relabel_fraction, random_goal_fraction)
+    rows, later, goal = _windows_with_goals(
+        data, key, batch_size, period_steps, goal_offset, relabel_fraction, random_goal_fraction
+    )
     return SkillBatch(
         trajectories=_trajectories(data, rows, period_steps),
         later_observation=data.observations[later],

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 PyTree = Any
+Metrics = dict[str, jax.Array]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from test_runs import assert_bit_equal
 import guider
 from guider import api, runs
 from guider.config import differences, from_dict, to_dict
-from guider.episodes import Spaces
 from guider.errors import GuiderError
 from guider.methods import METHODS
 from guider.methods.view import prepare
@@ -42,8 +41,7 @@ def test_learns_to_walk_a_corridor_either_way(method):
     functions = METHODS[method]
     state = init_seeds(lambda key: functions.init(config, episodes.spaces, scale, key), (0,))
     state = jax.tree.map(lambda leaf: leaf[0], train(functions.stages(config), state, data, (0,)))
-    spaces: Spaces = episodes.spaces
-    policy = Policy(state, -jnp.ones(1), jnp.ones(1), method, config, spaces.goal_indices, 1)
+    policy = Policy(state, -jnp.ones(1), jnp.ones(1), method, config, episodes.goal_indices, 1)
     position, goal = jnp.array([[-3.0], [3.0]]), jnp.array([[3.0], [-3.0]])
     acting, met = initial_state(policy, 2), np.zeros(2, bool)
     for step in range(25):

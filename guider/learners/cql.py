@@ -14,9 +14,10 @@ import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_not_negative, check_positive
-from guider.learners.types import Metrics, Transitions
+from guider.learners.types import Transitions
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.learners.regression import RegressionConfig, most_likely, predict
-from guider.learners.types import Metrics, Transitions
+from guider.learners.regression import RegressionConfig, most_likely, predict, regress
+from guider.learners.types import Transitions
 from guider.networks import Layers, mlp_init
 from guider.optimisers import Moments, Rate, adam_init, adam_step
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ def update(
     def loss(params: Layers) -> tuple[jax.Array, Metrics]:
         predicted = predict(config.regression, params, batch.state, key)
         weight = jnp.ones_like(batch.reward)
-        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
-        return regression, {"action_error": ((predicted - batch.action) ** 2).mean()}
+        return regress(config.regression, weight, predicted, batch.action)
 
     gradients, metrics = jax.grad(loss, has_aux=True)(state.params)
     params, optimiser = adam_step(rate, state.params, gradients, state.optimiser)

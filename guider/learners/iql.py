@@ -9,10 +9,11 @@ import jax
 
 from guider import losses
 from guider.config import check_fraction, check_positive
-from guider.learners.regression import RegressionConfig, most_likely, predict
-from guider.learners.types import Metrics, Transitions
+from guider.learners.regression import RegressionConfig, most_likely, predict, regress
+from guider.learners.types import Transitions
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,14 @@ def update(
         advantage = jax.lax.stop_gradient(error)
         weight = losses.advantage_weight(advantage, config.temperature, config.weight_ceiling)
         predicted = predict(config.regression, params.actor, batch.state, key)
-        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
+        regression, error_metrics = regress(config.regression, weight, predicted, batch.action)
         metrics = {
             "td_error": td,
             "value": values.mean(),
             "advantage_std": advantage.std(),
             "weight": weight.mean(),
-            "action_error": ((predicted - batch.action) ** 2).mean(),
         }
-        return td + expectile + regression, metrics
+        return td + expectile + regression, metrics | error_metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
     params, optimiser = adam_step(rate, old, gradients, state.optimiser)

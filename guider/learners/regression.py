@@ -8,9 +8,11 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
+from guider import losses
 from guider.config import check_fraction
 from guider.errors import GuiderError
 from guider.networks import Layers, mlp
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)
@@ -37,3 +39,11 @@ def most_likely(actor: Layers, inputs: jax.Array) -> jax.Array:
 def predict(config: RegressionConfig, actor: Layers, inputs: jax.Array, key: jax.Array) -> jax.Array:
     """The same while learning, with dropout."""
     return jnp.tanh(mlp(actor, inputs, dropout=config.dropout, key=key))
+
+
+def regress(
+    config: RegressionConfig, weight: jax.Array, predicted: jax.Array, action: jax.Array
+) -> tuple[jax.Array, Metrics]:
+    """Mean weighted regression loss, and the mean squared error whatever the loss counts. See losses."""
+    loss = losses.weighted_regression(weight, predicted, action, config.error).mean()
+    return loss, {"action_error": ((predicted - action) ** 2).mean()}

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 
-Metrics = dict[str, jax.Array]
-
 
 class Transitions(NamedTuple):
     """Transitions labelled with a goal, as the networks see them.

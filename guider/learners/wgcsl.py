@@ -14,10 +14,11 @@ import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_not_negative, check_positive
-from guider.learners.regression import RegressionConfig, most_likely, predict
-from guider.learners.types import Metrics, Transitions
+from guider.learners.regression import RegressionConfig, most_likely, predict, regress
+from guider.learners.types import Transitions
 from guider.networks import Layers, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)
@@ -124,15 +125,14 @@ def update(
         values = twin_values(params.critic, batch.state, batch.action)
         td = ((values - target) ** 2).mean(axis=-1).sum()
         predicted = predict(config.regression, params.actor, batch.state, key)
-        regression = losses.weighted_regression(weight, predicted, batch.action, config.regression.error).mean()
+        regression, error_metrics = regress(config.regression, weight, predicted, batch.action)
         metrics = {
             "td_error": td,
             "value": values.mean(),
             "advantage_std": advantage.std(),
             "weight": weight.mean(),
-            "action_error": ((predicted - batch.action) ** 2).mean(),
         }
-        return td + regression, metrics
+        return td + regression, metrics | error_metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
     params, optimiser = adam_step(rate, old, gradients, state.optimiser)

@@ -23,9 +23,7 @@ from guider.networks import Layers, layer_norm_mlp, mlp, mlp_init, twin_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
 from guider.problem import Problem
 from guider.samplers import Data, ValueBatch, WaypointBatch, sample_value, sample_waypoints
-from guider.training import Stage
-
-Metrics = dict[str, jax.Array]
+from guider.training import Metrics, Stage
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from guider.methods.view import Scale
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
 from guider.optimisers import Moments, adam_init, adam_step
 from guider.samplers import Windows
-
-Metrics = dict[str, jax.Array]
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)

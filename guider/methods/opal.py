@@ -24,9 +24,7 @@ from guider.networks import Gaussian, Gru, Layers, gaussian_head, gru, gru_init,
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate
 from guider.problem import Problem
 from guider.samplers import Data, SkillBatch, Trajectories, sample_skills, sample_trajectories
-from guider.training import Stage
-
-Metrics = dict[str, jax.Array]
+from guider.training import Metrics, Stage
 
 
 @dataclass(frozen=True)

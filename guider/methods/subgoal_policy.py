@@ -18,8 +18,7 @@ from guider.config import check_fraction, check_networks, check_not_negative, ch
 from guider.errors import GuiderError
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, adam_init, adam_step, trail
-
-Metrics = dict[str, jax.Array]
+from guider.training import Metrics
 
 
 @dataclass(frozen=True)
