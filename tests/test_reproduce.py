@@ -143,6 +143,7 @@ def test_ablations_change_what_the_paper_changes():
         "guider": ({}, None),
         "guider-without-prior": ({"high.prior": "false"}, None),
         "guider-without-cql": ({"high.critic": "td"}, None),
+        "guider-without-prior-or-cql": ({"high.prior": "false", "high.critic": "td"}, None),
     }
     large = make_plan("table3", Protocol()).grid[0]
     assert [run.period_steps for run in large] == [25, None, 75, 100]
@@ -234,14 +235,15 @@ def test_a_failure_is_told_and_tried_again(made, capsys):
 def test_other_tables_find_the_run(made, capsys):
     assert main(command("table2", made, "--tasks", TASK, "--dry-run", "--json")) == 0
     states = {run["variant"]: run["state"] for run in json.loads(capsys.readouterr().out)["runs"]}
-    assert states == {"guider": "done", "guider-without-prior": "new", "guider-without-cql": "new"}
+    ablations = ["guider-without-prior", "guider-without-cql", "guider-without-prior-or-cql"]
+    assert states == {"guider": "done", **dict.fromkeys(ablations, "new")}
     assert main(command("table2", made, "--tasks", TASK, "--report-only", "--json")) == 0
     document = json.loads(capsys.readouterr().out)
     assert "mean" in document["rows"][0]["cells"][0]
     assert document["unfinished"] == [
         {
             "task": TASK,
-            "variants": ["guider-without-prior", "guider-without-cql"],
+            "variants": ablations,
             "command": document["rows"][0]["command"],
         }
     ]

@@ -27,7 +27,7 @@ TABLE_1: dict[str, tuple[PaperScore, ...]] = {
     "kitchen-mixed": ((64.6, 1.8), (56.2, 5.4), (49.6, 2.9), (23.5, 1.1), (67.1, 5.8)),
 }
 
-TABLE_2_VARIANTS = ("guider", "guider-without-prior", "guider-without-cql")
+# Guider, without the prior, without CQL.
 TABLE_2: dict[str, tuple[PaperScore, ...]] = {
     "antmaze-large-diverse": ((80.8, 4.6), (57.0, 11.3), (78.5, 11.4)),
     "fetch-pick-mixed": ((33.2, 2.4), (20.2, 5.0), (28.8, 0.9)),
