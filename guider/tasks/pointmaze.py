@@ -138,7 +138,7 @@ def _task(name: str, maze: Maze) -> Task:
         state_dim=4,
         action_dim=2,
         radius=GOAL_RADIUS_M,
-        reach_radius=0.35,
+        reach_radius=2 * GOAL_RADIUS_M,
         horizon_steps=(25 * maze.route_cells + 10) // 2,
         period_steps=20,
         environment=environment,
