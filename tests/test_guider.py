@@ -87,7 +87,7 @@ def test_presets_are_what_they_say():
 
 
 def test_configs_survive_json_and_name_their_faults():
-    config = guider_config("fast", Problem(0.25, 0.35, 20))
+    config = guider_config("fast", Problem(0.25, 0.5, 20))
     assert from_dict(GuiderConfig, to_dict(config)) == config
     assert override(config, {"low.hidden": "(8, 8)", "replan": "reached"}).low.hidden == (8, 8)
     for change, message in {
