@@ -75,7 +75,7 @@ GUIDER = of_method("guider")
 WITHOUT_PRIOR = Variant("guider-without-prior", "Guider w/o prior", "guider", {"high.prior": "false"})
 WITHOUT_CQL = Variant("guider-without-cql", "Guider w/o CQL", "guider", {"high.critic": "td"})
 WITHOUT_BOTH = Variant(
-    "guider-without-prior-or-cql", "Guider w/o prior or CQL", "guider", {"high.prior": "false", "high.critic": "td"}
+    "guider-without-prior-or-cql", "Guider w/o prior or CQL", "guider", WITHOUT_PRIOR.settings | WITHOUT_CQL.settings
 )
 WITHOUT_DECODER = Variant("guider-without-decoder", "Guider w/o decoder", "guider", {"low.subgoal_input": "latent"})
 
