@@ -49,6 +49,7 @@ def train(
     held_out: float | None = None,
     evaluate_every: int = 0,
     on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
+    stage_cache: str | Path | None = None,
     pace: Pace = DEFAULT_PACE,
 ) -> Run:
     """Train on a task's data or on your own, and return the finished run.
@@ -65,9 +66,11 @@ def train(
     evaluate_every: evaluate all seeds at the first chunk's end after every so many updates of the last stage; 0 for
         never.
     on_chunk: called between chunks of updates, e.g. to show progress; pace: how often to report and save.
+    stage_cache: directory of stages trained before, by runs that share it: equal ones are taken over, new ones added.
     """
     seeds = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
     _check_seeds(seeds)
+    cache = _cache(stage_cache, evaluate_every)
     if fixed := [name for name in settings or {} if name.startswith("problem.")]:
         raise GuiderError(f"{fixed[0]} is no setting: the task, or an option of its own, decides it")
     benchmark = None if task is None else find_task(task)
@@ -102,7 +105,7 @@ def train(
     )
     directory = Path(out) if out else default_directory(task, method, preset)
     callback = _with_evaluation(directory, spec, evaluate_every, on_chunk)
-    return runs.start(directory, spec, episodes, callback, pace)
+    return runs.start(directory, spec, episodes, callback, pace, cache)
 
 
 def default_directory(task: str | None, method: str, preset: str) -> Path:
@@ -116,15 +119,17 @@ def resume(
     *,
     evaluate_every: int = 0,
     on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
+    stage_cache: str | Path | None = None,
     pace: Pace = DEFAULT_PACE,
 ) -> Run:
     """Continue an interrupted run to its end, bit-equal to one never interrupted.
 
     data: where the run's data is now, if it has moved. Raises GuiderError if it is not the same data.
     """
+    cache = _cache(stage_cache, evaluate_every)
     opened = runs.open_run(run)
     callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
-    runs.resume(opened, _same_data(opened, data), callback, pace)
+    runs.resume(opened, _same_data(opened, data), callback, pace, cache)
     return opened
 
 
@@ -315,6 +320,12 @@ def _with_evaluation(
             runs.append_line(directory / "evaluations.jsonl", line)
 
     return callback
+
+
+def _cache(directory: str | Path | None, evaluate_every: int) -> Path | None:
+    if directory is not None and evaluate_every:
+        raise GuiderError("--evaluate-every needs the last stage trained here; leave --stage-cache out")
+    return None if directory is None else Path(directory)
 
 
 def _goal_indices(

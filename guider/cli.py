@@ -40,6 +40,7 @@ def train(
     format: str | None = None,
     set: tuple[str, ...] = (),
     evaluate_every: int = 0,
+    stage_cache: Path | None = None,
     log_to: Literal["tensorboard", "wandb"] | None = None,
     as_json: Json = False,
 ) -> None:
@@ -67,6 +68,7 @@ def train(
         format: How to read the data, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain, wgcsl.
         set: Further settings by dotted name, e.g. --set high.samples=2 low.updates=50000.
         evaluate_every: Evaluate on the task after every so many updates of the last stage (0: never).
+        stage_cache: Directory where runs share their stages: equal ones trained before are taken over, new ones kept.
         log_to: Also send metrics to TensorBoard (into the run) or Weights & Biases; extras of the package.
         as_json: Print one JSON document instead of text.
     """
@@ -80,7 +82,9 @@ def train(
     with _stage_bars() as show:
         if resume is not None:
             sink = sinks.sink(log_to, resume)
-            run = api.resume(resume, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink))
+            run = api.resume(
+                resume, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink), stage_cache=stage_cache
+            )
         else:
             directory = out or api.default_directory(task, method, preset)
             run = api.train(
@@ -99,6 +103,7 @@ def train(
                 held_out=held_out,
                 evaluate_every=evaluate_every,
                 on_chunk=_both(show, sinks.sink(log_to, directory)),
+                stage_cache=stage_cache,
             )
     text = f"trained {run.directory}; next: `guider evaluate {run.directory}` and `guider plot {run.directory}`"
     _answer({"run": str(run.directory), "seeds": list(run.spec.seeds)}, text, as_json)
@@ -470,7 +475,3 @@ def _short(value: Any) -> str:
     return (
         ", ".join(f"{name} {_short(item)}" for name, item in value.items()) if isinstance(value, dict) else str(value)
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider import checkpoint
+from guider import checkpoint, stage_cache
 from guider.config import from_dict, to_dict
 from guider.episodes import Episodes, Spaces
 from guider.errors import GuiderError
@@ -126,8 +126,12 @@ def start(
     episodes: Episodes,
     on_chunk: Callable[[Chunk, Any], None],
     pace: Pace,
+    cache: Path | None = None,
 ) -> Run:
-    """Train a new run from the beginning. Raises GuiderError if `directory` is taken."""
+    """Train a new run from the beginning, but for stages that `cache` knows (see guider.stage_cache).
+
+    Raises GuiderError if `directory` is taken.
+    """
     if directory.exists():
         raise GuiderError(
             f"{directory} exists already and is never overwritten; choose another --out, "
@@ -140,16 +144,18 @@ def start(
     temporary.mkdir()
     write_json(temporary / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
     temporary.rename(directory)
-    _train(run, prepared, None, on_chunk, pace)
+    _train(run, prepared, None, on_chunk, pace, cache)
     return run
 
 
-def resume(run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], pace: Pace) -> None:
+def resume(
+    run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], pace: Pace, cache: Path | None = None
+) -> None:
     """Continue a run from its newest checkpoint, or from the beginning where it has none yet.
 
     The result is bit-equal to that of an uninterrupted run, if `episodes` are those of the spec's fingerprint.
     """
-    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, pace)
+    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, pace, cache)
 
 
 def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:
@@ -164,6 +170,7 @@ def _train(
     restored: tuple[Position, Any] | None,
     on_chunk: Callable[[Chunk, Any], None],
     pace: Pace,
+    cache: Path | None,
 ) -> None:
     """Run the stages, logging every chunk; checkpoints come as `pace` says and at each stage's end."""
     method, spec = METHODS[run.spec.method], run.spec
@@ -178,6 +185,25 @@ def _train(
     for name in ("metrics.jsonl", "evaluations.jsonl"):
         _drop_later_lines(run.directory / name, total_updates(stages, begin))
     saved_at = time.monotonic()
+    entry = None  # of the stage being trained, in the cache
+
+    def known(index: int, state: Any) -> Any:
+        """What the cache has of a stage, entered into the run as if it had been trained here."""
+        nonlocal entry
+        if cache is None:
+            return None
+        stage, part = stages[index], getattr(state, stages[index].part)
+        entry = cache / stage_cache.stage_digest(stage, index, state, data, spec.seeds, versions())
+        found = stage_cache.find(entry, part)
+        if found is None:
+            return None
+        part, lines = found
+        before, end = total_updates(stages, Position(index, 0)), Position(index, stage.updates)
+        for line in lines:
+            append_line(run.directory / "metrics.jsonl", line | {"total_updates": before + line["update"]})
+        whole = state._replace(**{stage.part: part})
+        checkpoint.save(run.directory / "checkpoints", total_updates(stages, end), end, whole)
+        return jax.tree.map(jnp.asarray, part)
 
     def record(chunk: Chunk, state: Any) -> None:
         nonlocal saved_at
@@ -196,8 +222,20 @@ def _train(
         if stage_ends or time.monotonic() - saved_at > pace.checkpoint_seconds:
             checkpoint.save(run.directory / "checkpoints", total, chunk.position, state)
             saved_at = time.monotonic()
+        if stage_ends and entry is not None:
+            lines = [line for line in read_lines(run.directory / "metrics.jsonl") if line["stage"] == chunk.stage.name]
+            stage_cache.keep(entry, chunk.position, getattr(state, chunk.stage.part), lines)
 
-    train(stages, state, data, spec.seeds, start=begin, chunk_updates=pace.chunk_updates, on_chunk=record)
+    train(
+        stages,
+        state,
+        data,
+        spec.seeds,
+        start=begin,
+        chunk_updates=pace.chunk_updates,
+        on_chunk=record,
+        known=known,
+    )
 
 
 def _check_finite(run: Run, chunk: Chunk) -> None:

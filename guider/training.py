@@ -94,16 +94,21 @@ def train(
     start: Position = Position(0, 0),
     chunk_updates: int = 1000,
     on_chunk: Callable[[Chunk, PyTree], None] = lambda chunk, state: None,
+    known: Callable[[int, PyTree], PyTree | None] = lambda index, state: None,
 ) -> PyTree:
     """Run all stages from `start` to the end and return the final state.
 
     state: leaves [seeds, ...] (see `init_seeds`); it is consumed. on_chunk sees the state between chunks, and
     must copy what it keeps: the next chunk reuses the memory. Chunks end at multiples of `chunk_updates`.
+    known is asked before a stage begins, and gives what it would train where that is known already.
     """
     keys = seed_keys(seeds)
     for index in range(start.stage, len(stages)):
         stage = stages[index]
         done = start.update if index == start.stage else 0
+        if done == 0 and (part := known(index, state)) is not None:
+            state = state._replace(**{stage.part: part})
+            continue
         run = compile_chunk(stage, index).lower(state, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
         while done < stage.updates:
             last = min(stage.updates, (done // chunk_updates + 1) * chunk_updates)

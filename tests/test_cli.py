@@ -131,7 +131,7 @@ def test_tasks_lists_every_task(capsys):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches_every_command(command):
     answer = subprocess.run(
-        [sys.executable, "-m", "guider.cli", command, "--help"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "guider", command, "--help"], capture_output=True, text=True, check=True
     )
     first_words = str(COMMANDS[command].__doc__).split(".")[0].split(":")[0].split()[:4]
     assert " ".join(first_words) in " ".join(answer.stdout.split())

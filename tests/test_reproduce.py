@@ -254,7 +254,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
     out = tmp_path / "out"
     arguments = [*command("table1", made, "--tasks", TASK, "--out", str(out))]
     process = subprocess.Popen(
-        [sys.executable, "-m", "guider.cli", *arguments], stderr=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-m", "guider", *arguments], stderr=subprocess.DEVNULL, start_new_session=True
     )
     run = out / "runs" / TASK / "guider-fast"
     deadline = time.monotonic() + 120

@@ -4,6 +4,7 @@ Below OUT:
     plan.json                    the plans made last, one per table or figure
     runs/TASK/VARIANT-PRESET     a run (see guider.runs; -curve: with a learning curve), and beside it, as .json, what
                                  was asked of it
+    stages/                      stages that runs have in common (see guider.stage_cache)
     logs/                        what each run's commands printed
 """
 
@@ -227,7 +228,7 @@ class _Runner:
             file.flush()
             with _on_cores(cores):
                 return subprocess.Popen(
-                    [sys.executable, "-m", "guider.cli", *command],
+                    [sys.executable, "-m", "guider", *command],
                     stdin=subprocess.DEVNULL,
                     stdout=file,
                     stderr=subprocess.STDOUT,
@@ -253,12 +254,15 @@ def _commands(plan: Plan, run: PlannedRun, state: State) -> list[list[str]]:
     if state == "done":
         return []
     directory, data = str(plan.directory(run)), str(plan.data_path(run.task))
-    curve = ["--evaluate-every", str(EVALUATE_EVERY_UPDATES[run.preset])] if run.curve else []
+    if run.curve:
+        way = ["--evaluate-every", str(EVALUATE_EVERY_UPDATES[run.preset])]
+    else:
+        way = ["--stage-cache", str(plan.protocol.out / "stages")]
     if state == "interrupted":
-        learn = ["train", "--resume", directory, "--data", data, *curve]
+        learn = ["train", "--resume", directory, "--data", data, *way]
     else:
         learn = ["train", run.task, "--data", data, "--method", run.method, "--preset", run.preset]
-        learn += ["--seeds", str(len(run.seeds)), "--first-seed", str(run.seeds[0]), "--out", directory, *curve]
+        learn += ["--seeds", str(len(run.seeds)), "--first-seed", str(run.seeds[0]), "--out", directory, *way]
         if run.period_steps is not None:
             learn += ["--period-steps", str(run.period_steps)]
         if run.settings:
