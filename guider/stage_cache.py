@@ -44,7 +44,7 @@ def stage_digest(
     digest.update(json.dumps([program, index, stage.updates, list(seeds), made_with]).encode())
     for name, leaf in zip(jaxpr.invars, jax.tree.leaves((state, data)), strict=False):  # the key comes last
         if name in read:
-            digest.update(np.ascontiguousarray(jax.device_get(leaf)))
+            digest.update(np.ascontiguousarray(jax.device_get(leaf)).data)
     return digest.hexdigest()
 
 
