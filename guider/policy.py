@@ -57,14 +57,15 @@ def act(
     """One step for a batch, pure and jittable.
 
     observation: [B, S]; goal: [B, G]; state: see `initial_state`; reset_mask: [B] bool, True where an episode
-    begins. Returns actions [B, A] within the action bounds, and the next acting state.
+    begins. Returns actions [B, A] within the action bounds, and the next acting state. The method's actions are scaled
+    by its setting `action_scale` around the bounds' centre: below 1, what was learned is done more gently.
     """
     actions, state = METHODS[policy.method].act(
         policy.config, policy.state, policy.goal_indices, observation, goal, state, reset_mask
     )
     centre = (policy.action_high + policy.action_low) / 2
     half_range = (policy.action_high - policy.action_low) / 2
-    return centre + half_range * actions, state
+    return centre + half_range * policy.config.action_scale * actions, state
 
 
 compiled_act = jax.jit(act)

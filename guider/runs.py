@@ -34,7 +34,7 @@ from guider.methods.view import prepare, unit_scale
 from guider.policy import Policy
 from guider.training import Chunk, Position, init_seeds, train
 
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -226,16 +226,9 @@ def _train(
             lines = [line for line in read_lines(run.directory / "metrics.jsonl") if line["stage"] == chunk.stage.name]
             stage_cache.keep(entry, chunk.position, getattr(state, chunk.stage.part), lines)
 
-    train(
-        stages,
-        state,
-        data,
-        spec.seeds,
-        start=begin,
-        chunk_updates=pace.chunk_updates,
-        on_chunk=record,
-        known=known,
-    )
+    chunk_updates = pace.chunk_updates
+    with jax.default_matmul_precision(spec.config.precision):
+        train(stages, state, data, spec.seeds, start=begin, chunk_updates=chunk_updates, on_chunk=record, known=known)
 
 
 def _check_finite(run: Run, chunk: Chunk) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from guider import losses
 from guider.goals import largest_distance
-from guider.networks import Gaussian, gaussian_head, mlp, mlp_init, twin_init, twin_values
+from guider.networks import Gaussian, gaussian_head, hidden_product, mlp, mlp_init, twin_init, twin_values
 
 
 def gaussian(mean, std):
@@ -125,6 +125,39 @@ def test_mlp_by_hand():
     )
     # x = 2: hidden relu(2, -1.5) = (2, 0); out 2*2 + 1
     assert mlp(layers, jnp.array([2.0])).tolist() == [5.0]
+
+
+def rounded(values) -> np.ndarray:
+    return np.asarray(jnp.asarray(values).astype(jnp.bfloat16), np.float64)
+
+
+@pytest.mark.parametrize("seeds", [None, 2])
+def test_bfloat16_rounds_both_factors_and_adds_up_exactly(seeds):
+    """Forwards and backwards, alone and with many seeds at once: the float64 product of rounded factors."""
+    shape = () if seeds is None else (seeds,)
+    keys = jax.random.split(jax.random.key(0), 3)
+    hidden, weight, pull = (
+        jax.random.normal(k, (*shape, *s)) for k, s in zip(keys, [(6, 5), (5, 4), (6, 4)], strict=True)
+    )
+    product = hidden_product if seeds is None else jax.vmap(hidden_product)
+    with jax.default_matmul_precision("bfloat16"):
+        value, pullback = jax.vjp(product, hidden, weight)
+        to_hidden, to_weight = pullback(pull)
+    h, w, p = rounded(hidden), rounded(weight), rounded(pull)
+    np.testing.assert_allclose(value, h @ w, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(to_hidden, p @ w.swapaxes(-1, -2), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(to_weight, h.swapaxes(-1, -2) @ p, rtol=1e-5, atol=1e-6)
+    assert np.abs(np.asarray(value) - np.asarray(hidden @ weight)).max() > 1e-3
+
+
+def test_first_and_last_layers_stay_float32():
+    x = jax.random.normal(jax.random.key(1), (3, 7))
+    for sizes, rounds in (((7, 32, 2), False), ((7, 32, 32, 2), True)):
+        layers = mlp_init(jax.random.key(0), sizes)
+        with jax.default_matmul_precision("bfloat16"):
+            answers = mlp(layers, x)
+        assert jnp.array_equal(answers, mlp(layers, x)) != rounds
+        np.testing.assert_allclose(answers, mlp(layers, x), atol=0.02)
 
 
 def test_dropout_keeps_the_mean_and_needs_a_key():

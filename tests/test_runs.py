@@ -64,7 +64,15 @@ def assert_bit_equal(first: runs.Run, second: runs.Run) -> None:
 
 
 def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
-    run = guider.train(data=logs, out=tmp_path / "run", seeds=2, **OWN)
+    precisions = []
+    run = guider.train(
+        data=logs,
+        out=tmp_path / "run",
+        seeds=2,
+        on_chunk=lambda chunk, state: precisions.append(jax.config.jax_default_matmul_precision),
+        **OWN,
+    )
+    assert precisions == ["bfloat16"] * 3 and jax.config.jax_default_matmul_precision is None
     opened = runs.open_run(tmp_path / "run")
     assert opened.spec == run.spec
     lines = runs.read_lines(tmp_path / "run" / "metrics.jsonl")

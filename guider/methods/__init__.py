@@ -11,8 +11,9 @@ from guider.methods import flat, guider, hiql, opal
 
 @dataclass(frozen=True)
 class Method:
-    """The functions of one method; `config` is an instance of `config_type` throughout, which has the fields `problem`
-    (guider.problem) and `view` (guider.methods.view).
+    """The functions of one method; `config` is an instance of `config_type` throughout, and has the fields `problem`
+    (guider.problem), `view` (guider.methods.view), `precision`, of training (guider.networks), and `action_scale`, of
+    acting (guider.policy).
 
     init:     (config, spaces, scale, key) -> state of one seed
     stages:   (config) -> stages for the engine

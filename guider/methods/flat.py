@@ -14,6 +14,7 @@ from guider.episodes import Spaces
 from guider.errors import GuiderError
 from guider.learners import GcslConfig, LearnerConfig, Transitions, learner
 from guider.methods.view import Scale, ViewConfig
+from guider.networks import Precision
 from guider.optimisers import cosine_rate
 from guider.problem import Problem
 from guider.samplers import Data, FlatBatch, Future, sample_flat
@@ -26,6 +27,8 @@ class FlatConfig:
 
     problem: Problem = field(default_factory=Problem)
     view: ViewConfig = field(default_factory=ViewConfig)
+    precision: Precision = "float32"
+    action_scale: float = 1.0
     updates: int = 500_000
     batch_size: int = 512
     learning_rate: float = 5e-4
@@ -47,7 +50,7 @@ class FlatConfig:
 
     def __post_init__(self) -> None:
         check_networks(self)
-        check_fraction(self, "relabel_fraction", "random_goal_fraction")
+        check_fraction(self, "action_scale", "relabel_fraction", "random_goal_fraction")
         check_shares(self)
         if self.mean_goal_steps < 1:
             raise GuiderError(f"mean_goal_steps must be 1 or more, got {self.mean_goal_steps}")

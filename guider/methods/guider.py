@@ -20,7 +20,7 @@ from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import twin_values
+from guider.networks import Precision, twin_values
 from guider.optimisers import cosine_rate
 from guider.problem import Problem
 from guider.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
@@ -63,6 +63,8 @@ class GuiderConfig:
 
     problem: Problem = field(default_factory=Problem)
     view: ViewConfig = field(default_factory=ViewConfig)
+    precision: Precision = "float32"
+    action_scale: float = 1.0
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     candidates: int = 1
@@ -76,6 +78,7 @@ class GuiderConfig:
 
     def __post_init__(self) -> None:
         check_positive(self, "candidates")
+        check_fraction(self, "action_scale")
 
 
 class GuiderState(NamedTuple):

@@ -19,7 +19,7 @@ from guider.config import check_fraction, check_networks, check_positive
 from guider.episodes import Spaces
 from guider.errors import GuiderError
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Layers, layer_norm_mlp, mlp, mlp_init, twin_init
+from guider.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
 from guider.problem import Problem
 from guider.samplers import Data, ValueBatch, WaypointBatch, sample_value, sample_waypoints
@@ -84,6 +84,8 @@ class HiqlConfig:
 
     problem: Problem = field(default_factory=Problem)
     view: ViewConfig = field(default_factory=ViewConfig)
+    precision: Precision = "float32"
+    action_scale: float = 1.0
     subgoal_steps: int = 25
     """k: environment steps to the state that the high level names. (c of `problem` only serves `view`.)"""
     random_goal_fraction: float = 0.3
@@ -99,7 +101,7 @@ class HiqlConfig:
 
     def __post_init__(self) -> None:
         check_positive(self, "subgoal_steps")
-        check_fraction(self, "random_goal_fraction")
+        check_fraction(self, "action_scale", "random_goal_fraction")
 
 
 class ValueParams(NamedTuple):

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_networks, check_positive
+from guider.config import check_fraction, check_networks, check_positive
 from guider.episodes import Spaces
 from guider.methods import subgoal_policy
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Gaussian, Gru, Layers, gaussian_head, gru, gru_init, mlp, mlp_init
+from guider.networks import Gaussian, Gru, Layers, Precision, gaussian_head, gru, gru_init, mlp, mlp_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate
 from guider.problem import Problem
 from guider.samplers import Data, SkillBatch, Trajectories, sample_skills, sample_trajectories
@@ -61,12 +61,17 @@ class OpalConfig:
 
     problem: Problem = field(default_factory=Problem)
     view: ViewConfig = field(default_factory=ViewConfig)
+    precision: Precision = "float32"
+    action_scale: float = 1.0
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
     skills: SkillsConfig = field(default_factory=SkillsConfig)
     high: SubgoalPolicyConfig = field(default_factory=lambda: SubgoalPolicyConfig(prior=False))
     """Conservative Q-learning on z. `prior=False` is the paper's reading: plain CQL(H), its policy held up by entropy
     alone. `prior=True` holds the policy to rho(z | s) by a tuned KL, as Guider's is (departure)."""
+
+    def __post_init__(self) -> None:
+        check_fraction(self, "action_scale")
 
 
 class SkillParams(NamedTuple):
