@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from guider.episodes import Episodes, make_episodes
@@ -54,13 +55,15 @@ def trainer(config: GuiderConfig, stage: str, episodes: Episodes, seeds: Sequenc
     data, scale = prepare(config.view, config.problem, episodes)
     keys = seed_keys(seeds)
     state = init_seeds(lambda key: guider.init(config, episodes.spaces, scale, key), seeds)
-    chunk = compile_chunk(guider.stages(config)[index], index)
-    state, _ = chunk(state, data, keys, 0, 1)
-    done = 1
+    stage_chunk = compile_chunk(guider.stages(config)[index], index)
+    with jax.default_matmul_precision(config.precision):
+        chunk = stage_chunk.lower(state, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
+    done = 0
 
     def run(updates: int) -> None:
         nonlocal state, done
-        state, _ = jax.block_until_ready(chunk(state, data, keys, done, done + updates))
+        first, last = jnp.asarray(done), jnp.asarray(done + updates)
+        state, _ = jax.block_until_ready(chunk(state, data, keys, first, last))
         done += updates
 
     return run

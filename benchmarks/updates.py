@@ -2,6 +2,8 @@
 # (PyTorch is optional)
 """Updates per second of the three stages, against plain eager PyTorch and between our own settings.
 
+PyTorch runs in float32, and again under its autocast to bfloat16.
+
 python -m benchmarks.updates [--stage latent|high|low|switches] [--rounds N] [--seconds S] [--json]
 """
 
@@ -40,6 +42,9 @@ from guider.tasks.simulation import available_cores
 
 TARGETS = {"latent": 4.0, "high": 1.3, "low": 2.5}
 """Least acceptable ratio to eager PyTorch, at equal batches and samples."""
+
+OURS = {"paper": "float32", "paper bfloat16": "bfloat16"}
+"""Contenders held against PyTorch in float32, and their precision."""
 
 SWITCHES: dict[str, dict[str, Any]] = {
     "samples=4": {"samples": 4},
@@ -94,7 +99,7 @@ def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
     return critics + training_flops(actor, rows) + forward_flops(actor, rows)
 
 
-def torch_trainer(config: GuiderConfig, stage: str, episodes: Episodes) -> Run:
+def torch_trainer(config: GuiderConfig, stage: str, episodes: Episodes, autocast: bool = False) -> Run:
     """run(updates): the same stage in eager PyTorch, on all cores."""
     import torch
 
@@ -111,19 +116,23 @@ def torch_trainer(config: GuiderConfig, stage: str, episodes: Episodes) -> Run:
     baseline = makers[stage]()
 
     def run(updates: int) -> None:
-        for _ in range(updates):
-            baseline.update(data)
+        with torch.autocast("cpu", torch.bfloat16, enabled=autocast):
+            for _ in range(updates):
+                baseline.update(data)
 
     return run
 
 
 def measure_stage(stage: str, episodes: Episodes, rounds: int, seconds: float) -> dict[str, Any]:
-    """One stage: preset `paper` here and in PyTorch, and preset `fast`. Rates in updates per second."""
+    """One stage: preset `paper` here and in PyTorch, in either precision, and preset `fast`. Updates per second."""
     paper, fast = antmaze_config("paper"), antmaze_config("fast")
+    rounded = replace(paper, precision="bfloat16")
     rates = alternate(
         {
             "paper": trainer(paper, stage, episodes),
+            "paper bfloat16": trainer(rounded, stage, episodes),
             "torch": torch_trainer(paper, stage, episodes),
+            "torch bfloat16": torch_trainer(paper, stage, episodes, autocast=True),
             "fast": trainer(fast, stage, episodes),
         },
         rounds,
@@ -138,7 +147,7 @@ def measure_stage(stage: str, episodes: Episodes, rounds: int, seconds: float) -
         "gflops_per_second": {
             name: medians[name] * flops["fast" if name == "fast" else "paper"] / 1e9 for name in medians
         },
-        "paper_to_torch": ratios(rates["paper"], rates["torch"]),
+        "to_torch": {name: ratios(rates[name], rates["torch"]) for name in OURS},
         "fast_to_paper": ratios(rates["fast"], rates["paper"]),
         "target": TARGETS[stage],
     }
@@ -169,23 +178,32 @@ def unshared_twin_values(twins: Layers, context: jax.Array, actions: jax.Array) 
 
 
 def print_stages(results: dict[str, Any]) -> None:
-    header = ("stage", "guider /s", "torch /s", "ratio (min-max)", "GFLOP/update", "GFLOP/s", "torch GFLOP/s", "")
-    rows = []
-    for stage, result in results.items():
-        medians, achieved = result["median_rates"], result["gflops_per_second"]
-        rows.append(
-            (
-                stage,
-                f"{medians['paper']:.1f}",
-                f"{medians['torch']:.1f}",
-                show_ratio(result["paper_to_torch"]),
-                f"{result['flops_per_update']['paper'] / 1e9:.2f}",
-                f"{achieved['paper']:.0f}",
-                f"{achieved['torch']:.0f}",
-                verdict(result["paper_to_torch"]["median"], result["target"]),
-            )
+    header = ("stage", "precision", "guider /s", "to torch (min-max)", "GFLOP/s", "")
+    rows = [
+        (
+            stage,
+            precision,
+            f"{result['median_rates'][name]:.1f}",
+            show_ratio(result["to_torch"][name]),
+            f"{result['gflops_per_second'][name]:.0f}",
+            verdict(result["to_torch"][name]["median"], result["target"]),
         )
-    print_table("Preset paper, updates per second, against eager PyTorch", header, rows)
+        for stage, result in results.items()
+        for name, precision in OURS.items()
+    ]
+    print_table("Preset paper, updates per second, against eager PyTorch in float32", header, rows)
+    header = ("stage", "torch /s", "under autocast /s", "GFLOP/update", "GFLOP/s")
+    rows = [
+        (
+            stage,
+            f"{result['median_rates']['torch']:.1f}",
+            f"{result['median_rates']['torch bfloat16']:.1f}",
+            f"{result['flops_per_update']['paper'] / 1e9:.2f}",
+            f"{result['gflops_per_second']['torch']:.0f}",
+        )
+        for stage, result in results.items()
+    ]
+    print_table("The same in eager PyTorch", header, rows)
     header = ("stage", "fast /s", "to paper (min-max)", "GFLOP/update", "GFLOP/s")
     rows = [
         (

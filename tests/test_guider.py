@@ -94,6 +94,8 @@ def test_configs_survive_json_and_name_their_faults():
         ("high.critic", "magic"): "must be one of cql, td, expectile",
         ("low.updates", "many"): "must be of type int, got 'many'",
         ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
+        ("action_scale", "1.5"): "action_scale must lie between 0 and 1",
+        ("precision", "float16"): "must be one of float32, bfloat16",
         ("problem.radius", "-1"): "radius must be above 0",
         ("low.learner.discount", "2"): "discount must lie between 0 and 1",
         ("low.learner.kind", "magic"): "must be one of awr, cql, gcsl, iql, wgcsl",
@@ -269,12 +271,25 @@ def test_small_spreads_of_goal_entries_are_not_blown_up():
     np.testing.assert_array_equal(scale.state_std[2:], plain.state_std[2:])
 
 
-def test_acting_is_batched_row_by_row():
-    episodes, config = make_ragged(), tiny(guider_config("fast", Problem(0.5, 1.0, 5)))
+def untrained(config, episodes) -> Policy:
     _, scale = prepare(config.view, config.problem, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
-    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
-    observations, goals = jnp.asarray(episodes.observations[:6]), jnp.ones((6, 2))
+    return Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
+
+
+def test_actions_are_scaled_around_the_centre_of_their_bounds(fast_config, ragged):
+    low, high, centre = jnp.array([-1.0, 2.0]), jnp.array([1.0, 6.0]), jnp.array([0.0, 4.0])
+    policy = replace(untrained(fast_config, ragged), action_low=low, action_high=high)
+    gentle = replace(policy, config=replace(fast_config, action_scale=0.25))
+    inputs = jnp.ones((1, 4)), jnp.ones((1, 2)), initial_state(policy, 1), jnp.ones(1, bool)
+    (full, _), (quarter, _) = act(policy, *inputs), act(gentle, *inputs)
+    np.testing.assert_allclose(quarter[0] - centre, 0.25 * (full[0] - centre), rtol=1e-5, atol=1e-6)
+    assert jnp.abs(full[0] - centre).min() > 1e-3
+
+
+def test_acting_is_batched_row_by_row(fast_config, ragged):
+    policy = untrained(fast_config, ragged)
+    observations, goals = jnp.asarray(ragged.observations[:6]), jnp.ones((6, 2))
     together, _ = act(policy, observations, goals, initial_state(policy, 6), jnp.ones(6, bool))
     for row in range(6):
         alone, _ = act(policy, observations[row : row + 1], goals[:1], initial_state(policy, 1), jnp.ones(1, bool))
