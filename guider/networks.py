@@ -38,7 +38,7 @@ class Gaussian(NamedTuple):
 
 def hidden_product(hidden: jax.Array, weight: jax.Array) -> jax.Array:
     """hidden @ weight between hidden layers, [..., H] x [H, K], under `jax.default_matmul_precision`'s Precision."""
-    if jax.config.jax_default_matmul_precision != "bfloat16":
+    if jax.default_matmul_precision.value != "bfloat16":
         return hidden @ weight
     rows = hidden.reshape(-1, hidden.shape[-1])
     return _rounded_product(rows, weight).reshape(*hidden.shape[:-1], weight.shape[-1])

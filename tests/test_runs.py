@@ -69,10 +69,10 @@ def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
         data=logs,
         out=tmp_path / "run",
         seeds=2,
-        on_chunk=lambda chunk, state: precisions.append(jax.config.jax_default_matmul_precision),
+        on_chunk=lambda chunk, state: precisions.append(jax.default_matmul_precision.value),
         **OWN,
     )
-    assert precisions == ["bfloat16"] * 3 and jax.config.jax_default_matmul_precision is None
+    assert precisions == ["bfloat16"] * 3 and jax.default_matmul_precision.value is None
     opened = runs.open_run(tmp_path / "run")
     assert opened.spec == run.spec
     lines = runs.read_lines(tmp_path / "run" / "metrics.jsonl")
