@@ -60,6 +60,7 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
 _FLAT: Changes = {
     "learner.samples": 2,
     "learner.conservative_weight": 1.0,
+    "learner.cloning_weight": 10.0,
     "learner.expectile": 0.7,
     "learner.temperature": 0.5,
 }
