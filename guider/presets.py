@@ -31,7 +31,7 @@ LATENT_DIM = {"fetch": 3, "kitchen": 8}
 _MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
 _ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
 _FROM_DEMONSTRATIONS: Changes = {"learner.regression.error": "absolute", "learner.regression.dropout": 0.1}
-# D4RL's ant runs at its motors' limits, and falls. The same done more gently falls a tenth as often and is no slower.
+# D4RL's ant runs at its motors' limits, and falls. The same done more gently hardly ever does, and is hardly slower.
 _GENTLY: Changes = {"action_scale": 0.75}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: dict[str | None, Changes] = {
