@@ -103,13 +103,19 @@ def test_describe_is_json_and_right():
     assert facts["constant_state_entries"] == [4] and facts["state_range"][4] == [7, 7]
     assert facts["goal_range"] == facts["state_range"][:2]
     assert facts["action_bounds"] == [[-1, 1], [-1, 1]]
-    assert facts["recorded_goals"] is False
+    assert facts["recorded_goals"] is False and facts["actions_at_bounds"] == 0
     assert facts["fingerprint"] == episodes.fingerprint() and facts["source"] == "here"
     travel = {row["steps"]: row for row in facts["goal_travel"]}
     assert list(travel) == [1, 5, 10, 20]
     assert travel[1]["windows"] == 49 and travel[1]["still_fraction"] == pytest.approx(8 / 49, abs=1e-5)
     assert travel[10]["windows"] == 30 and travel[10]["still_fraction"] == 0
     assert travel[10]["median_distance"] > travel[1]["median_distance"] > 0
+
+
+def test_actions_at_their_bounds_are_counted_where_something_follows():
+    actions = np.array([[1.0, 0.0], [-1.0, 0.5], [1.0, 1.0], [0.9, -1.0], [1.0, 1.0]])
+    episodes = make_episodes(np.eye(5), actions, [3, 2], GOAL, action_low=-1, action_high=1)
+    assert describe(episodes)["actions_at_bounds"] == pytest.approx(3 / 6, abs=1e-5)  # rows 0, 1 and 3
 
 
 # What cannot be read

@@ -10,6 +10,7 @@ from guider.episodes import Episodes
 
 _WINDOWS = (1, 5, 10, 20, 50, 100)
 _STILL_FRACTION = 1e-3
+_BOUND_FRACTION = 1e-3
 
 
 def describe(episodes: Episodes) -> dict[str, Any]:
@@ -19,7 +20,8 @@ def describe(episodes: Episodes) -> dict[str, Any]:
     `goal_travel` says how far states that lie `steps` rows apart in one episode are from each other in goal
     space: the median distance, and the fraction that stay within a thousandth of the goal space the data
     covers. It helps to choose a subgoal period and to see data that stands still. Periods longer than every
-    episode are left out.
+    episode are left out. `actions_at_bounds` is the fraction of action entries that lie within a thousandth of their
+    range from a bound: behaviour at its limits may be worth repeating more gently (`action_scale`).
     """
     achieved = episodes.achieved
     low, high = episodes.observations.min(axis=0), episodes.observations.max(axis=0)
@@ -44,11 +46,18 @@ def describe(episodes: Episodes) -> dict[str, Any]:
         "constant_state_entries": [int(i) for i in np.flatnonzero(low == high)],
         "goal_range": _pairs(low[indices], high[indices]),
         "action_bounds": _pairs(episodes.action_low, episodes.action_high),
+        "actions_at_bounds": _at_bounds(episodes),
         "recorded_goals": episodes.goals is not None,
         "goal_travel": [
             _travel(achieved, episodes.last_rows, steps, extent) for steps in _WINDOWS if steps < lengths.max()
         ],
     }
+
+
+def _at_bounds(episodes: Episodes) -> float:
+    actions = np.delete(episodes.actions, episodes.last_rows[episodes.starts], axis=0)  # nothing follows a last row
+    margin = _BOUND_FRACTION * (episodes.action_high - episodes.action_low)
+    return _round(np.mean((actions <= episodes.action_low + margin) | (actions >= episodes.action_high - margin)))
 
 
 def _travel(achieved: np.ndarray, last_rows: np.ndarray, steps: int, extent: float) -> dict[str, Any]:
