@@ -152,8 +152,8 @@ def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = 
 
 
 def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, updates: int, changes: Changes) -> FlatConfig:
-    """Settings of a method without subgoals. updates: in `fast`, before `_FLAT_UPDATES`; changes: in both presets, from FlatConfig's
-    defaults."""
+    """Settings of a method without subgoals. updates: in `fast`, before `_FLAT_UPDATES`; changes: in both presets, from
+    FlatConfig's defaults."""
     paper = override(FlatConfig(problem=problem, view=ViewConfig(normalise=True), learner=learner), changes)
     if preset == "paper":
         return paper
