@@ -33,6 +33,8 @@ _ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fract
 _FROM_DEMONSTRATIONS: Changes = {"learner.regression.error": "absolute", "learner.regression.dropout": 0.1}
 # D4RL's ant runs at its motors' limits, and falls. The same done more gently hardly ever does, and is hardly slower.
 _GENTLY: Changes = {"action_scale": 0.75}
+# In the kitchen a centimetre decides.
+_FINELY: Changes = {"precision": "float32"}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: dict[str | None, Changes] = {
     # How to round corners without falling is what takes long to learn.
@@ -42,6 +44,7 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "fetch": _ARM | {"high.updates": 2_500, "low.updates": 8_000, "low.relabel_fraction": 1.0},
     # Few demonstrations, many things that may come next, and no four of them in one episode.
     "kitchen": _ARM
+    | _FINELY
     | {
         "view.boundary": "clip",
         "view.smallest_spread": 0.1,
@@ -73,21 +76,21 @@ FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _LONG | _GENTLY,
     "pointmaze": _LONG,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | _FINELY | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
 }
 """The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
 
 HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _GENTLY | {"low.updates": 100_000},
     "fetch": _MANIPULATION | {"random_goal_fraction": 0.0, "subgoal_steps": 10},
-    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
+    "kitchen": _MANIPULATION | _FINELY | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
 }
 """The same for HIQL."""
 
 OPAL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _GENTLY,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | _FINELY | {"view.smallest_spread": 0.1},
 }
 """The same for OPAL."""
 
