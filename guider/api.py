@@ -124,7 +124,8 @@ def resume(
 ) -> Run:
     """Continue an interrupted run to its end, bit-equal to one never interrupted.
 
-    data: where the run's data is now, if it has moved. Raises GuiderError if it is not the same data.
+    data: where the run's data is now, if it has moved; stage_cache: see `train`. Raises GuiderError if it is not the
+    same data.
     """
     cache = _cache(stage_cache, evaluate_every)
     opened = runs.open_run(run)

@@ -31,20 +31,23 @@ LATENT_DIM = {"fetch": 3, "kitchen": 8}
 _MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
 _ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
 _FROM_DEMONSTRATIONS: Changes = {"learner.regression.error": "absolute", "learner.regression.dropout": 0.1}
-# D4RL's ant runs at its motors' limits, and falls. The same done more gently hardly ever does, and is hardly slower.
-_GENTLY: Changes = {"action_scale": 0.75}
-# In the kitchen a centimetre decides.
-_FINELY: Changes = {"precision": "float32"}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
+EVERY_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    # D4RL's ant runs at its motors' limits, and falls. Done more gently, the same hardly ever does, nearly as fast.
+    "antmaze": {"action_scale": 0.75},
+    # A centimetre decides.
+    "kitchen": {"precision": "float32"},
+}
+"""Where every method's `fast` differs between domains."""
+
 FAST_IN_DOMAIN: dict[str | None, Changes] = {
     # How to round corners without falling is what takes long to learn.
-    "antmaze": _IN_METRES | _GENTLY | {"low.updates": 100_000},
+    "antmaze": _IN_METRES | {"low.updates": 100_000},
     "pointmaze": _IN_METRES,
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'.
     "fetch": _ARM | {"high.updates": 2_500, "low.updates": 8_000, "low.relabel_fraction": 1.0},
     # Few demonstrations, many things that may come next, and no four of them in one episode.
     "kitchen": _ARM
-    | _FINELY
     | {
         "view.boundary": "clip",
         "view.smallest_spread": 0.1,
@@ -58,7 +61,7 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
         **{f"low.{name}": value for name, value in _FROM_DEMONSTRATIONS.items()},
     },
 }
-"""Where Guider's `fast` differs between domains."""
+"""The same for Guider alone."""
 
 _FLAT: Changes = {
     "learner.samples": 2,
@@ -73,24 +76,23 @@ _FLAT_UPDATES = {"antmaze": 2.5, "fetch": 1 / 3, "kitchen": 1 / 2}
 # Goals hundreds of steps ahead; and where all episodes are alike, the best advantages are noise.
 _LONG: Changes = {"learner.discount": 0.995, "learner.best_advantage_weight": False}
 FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
-    "antmaze": _LONG | _GENTLY,
+    "antmaze": _LONG,
     "pointmaze": _LONG,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _FINELY | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
 }
 """The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
 
 HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
-    "antmaze": _GENTLY | {"low.updates": 100_000},
+    "antmaze": {"low.updates": 100_000},
     "fetch": _MANIPULATION | {"random_goal_fraction": 0.0, "subgoal_steps": 10},
-    "kitchen": _MANIPULATION | _FINELY | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
 }
 """The same for HIQL."""
 
 OPAL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
-    "antmaze": _GENTLY,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _FINELY | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1},
 }
 """The same for OPAL."""
 
@@ -151,7 +153,7 @@ def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = 
             random_goal_fraction=0.5,
         ),
     )
-    return _change(fast, FAST_IN_DOMAIN.get(problem.domain, {}))
+    return _change(fast, _in_domain(problem, FAST_IN_DOMAIN))
 
 
 def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, updates: int, changes: Changes) -> FlatConfig:
@@ -170,7 +172,7 @@ def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, update
         decay=True,
         relative=True,
     )
-    return _change(fast, _FLAT | FLAT_FAST_IN_DOMAIN.get(problem.domain, {}))
+    return _change(fast, _FLAT | _in_domain(problem, FLAT_FAST_IN_DOMAIN))
 
 
 def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
@@ -197,7 +199,7 @@ def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
         high=replace(paper.high, updates=8_000, hidden=(256, 256), **shared),
         low=replace(paper.low, updates=25_000, hidden=(256, 256, 256), **shared),
     )
-    return override(fast, HIQL_FAST_IN_DOMAIN.get(problem.domain, {}))
+    return override(fast, _in_domain(problem, HIQL_FAST_IN_DOMAIN))
 
 
 def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
@@ -235,7 +237,12 @@ def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
             cap_targets=True,
         ),
     )
-    return override(fast, OPAL_FAST_IN_DOMAIN.get(problem.domain, {}))
+    return override(fast, _in_domain(problem, OPAL_FAST_IN_DOMAIN))
+
+
+def _in_domain(problem: Problem, changes: dict[str | None, Changes]) -> Changes:
+    """Every method's changes in the problem's domain, and a method's own."""
+    return EVERY_FAST_IN_DOMAIN.get(problem.domain, {}) | changes.get(problem.domain, {})
 
 
 def _change(config: C, changes: Changes) -> C:

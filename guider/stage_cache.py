@@ -37,11 +37,11 @@ def stage_digest(
     """
     one_seed = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), state)
     arguments = one_seed, data, jax.random.key(0)
-    jaxpr = jax.make_jaxpr(stage.update)(*arguments).jaxpr
+    traced = jax.jit(stage.update).trace(*arguments)
+    jaxpr = traced.jaxpr.jaxpr
     read = {name for equation in jaxpr.eqns for name in equation.invars if isinstance(name, Var)} | set(jaxpr.outvars)
-    program = jax.jit(stage.update).lower(*arguments).as_text()
     digest = hashlib.blake2b(digest_size=16)
-    digest.update(json.dumps([program, index, stage.updates, list(seeds), made_with]).encode())
+    digest.update(json.dumps([traced.lower().as_text(), index, stage.updates, list(seeds), made_with]).encode())
     for name, leaf in zip(jaxpr.invars, jax.tree.leaves((state, data)), strict=False):  # the key comes last
         if name in read:
             digest.update(np.ascontiguousarray(jax.device_get(leaf)).data)
