@@ -30,8 +30,14 @@ LATENT_DIM = {"fetch": 3, "kitchen": 8}
 # A task whose goal stands still until something is touched: whether an episode moves it at all is what counts.
 _MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
 _ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
-_FROM_DEMONSTRATIONS: Changes = {"learner.regression.error": "absolute", "learner.regression.dropout": 0.1}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
+
+
+def _from_demonstrations(regression: str) -> Changes:
+    """Few demonstrations: a regression held simple."""
+    return {f"{regression}.error": "absolute", f"{regression}.dropout": 0.1}
+
+
 EVERY_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     # D4RL's ant runs at its motors' limits, and falls. Done more gently, the same hardly ever does, nearly as fast.
     "antmaze": {"action_scale": 0.75},
@@ -58,8 +64,8 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
         "low.updates": 20_000,
         "low.subgoal_slack_steps": 30,
         "low.relabel_fraction": 0.0,
-        **{f"low.{name}": value for name, value in _FROM_DEMONSTRATIONS.items()},
-    },
+    }
+    | _from_demonstrations("low.learner.regression"),
 }
 """The same for Guider alone."""
 
@@ -79,20 +85,24 @@ FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": _LONG,
     "pointmaze": _LONG,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _LONG | _FROM_DEMONSTRATIONS | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | _LONG | {"view.smallest_spread": 0.1} | _from_demonstrations("learner.regression"),
 }
 """The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
 
 HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": {"low.updates": 100_000},
     "fetch": _MANIPULATION | {"random_goal_fraction": 0.0, "subgoal_steps": 10},
-    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0},
+    "kitchen": _MANIPULATION
+    | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0}
+    | _from_demonstrations("low.regression"),
 }
 """The same for HIQL."""
 
 OPAL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    # A skill is the mean of many ways to walk, and gentle already.
+    "antmaze": {"action_scale": 1.0, "skills.updates": 40_000, "high.updates": 15_000},
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1},
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1} | _from_demonstrations("skills.regression"),
 }
 """The same for OPAL."""
 
@@ -214,7 +224,8 @@ def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
         relative=True,
         skills=replace(
             paper.skills,
-            updates=7_000,
+            updates=20_000,
+            batch_size=20,
             decay=True,
             hidden=(256, 256),
             encoder_hidden=128,
@@ -223,7 +234,7 @@ def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
         ),
         high=replace(
             paper.high,
-            updates=4_000,
+            updates=10_000,
             batch_size=128,
             learning_rate=1e-3,
             hidden=(256, 256),

@@ -34,7 +34,7 @@ from guider.methods.view import prepare, unit_scale
 from guider.policy import Policy
 from guider.training import Chunk, Position, init_seeds, train
 
-FORMAT = 3
+FORMAT = 4
 
 
 @dataclass(frozen=True)

@@ -159,9 +159,11 @@ def waypoint_batch() -> WaypointBatch:
     ("level", "seen"),
     [("high", [("observation", "goal"), ("ahead", "goal")]), ("low", [("observation", "ahead"), ("next", "ahead")])],
 )
-def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen):
+@pytest.mark.parametrize("counted", ["squared", "absolute"])
+def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen, counted):
     """V(s, g) = -2 at s, -1 one step on, 0 at the state ahead: A = 2 above (k steps), 1 below (one step)."""
     config = small({"high.temperature": 2.0, "low.temperature": 0.5, "low.weight_ceiling": 5.0})
+    config = override(config, {"high.regression.error": counted, "low.regression.error": counted})
     state = fresh(config)
     asked = []
 
@@ -173,17 +175,31 @@ def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen):
     monkeypatch.setattr(method, "values", values)
     batch, params = waypoint_batch(), getattr(state, level).params
     loss_of = {"high": method.high_loss, "low": method.low_loss}[level]
-    loss, metrics = loss_of(config, params, state.value.params, unit(), batch)
+    loss, metrics = loss_of(config, params, state.value.params, unit(), batch, jax.random.key(0))
     assert asked == seen
     z = method.represent(config, state.value.params, unit(), batch.observation, batch.achieved, batch.ahead)
     if level == "high":
         weight = np.exp(2.0 / 2.0)
-        error = (method.propose(config, params, unit(), batch.observation, batch.achieved, batch.goal) - z) ** 2
+        error = method.propose(config, params, unit(), batch.observation, batch.achieved, batch.goal) - z
     else:
         weight = 5.0  # exp(1 / 0.5) = 7.4 is above the ceiling
-        error = (method.control(params, unit(), batch.observation, batch.achieved, z) - 0.5) ** 2
+        error = method.control(params, unit(), batch.observation, batch.achieved, z) - 0.5
     assert float(metrics["weight"]) == pytest.approx(weight, rel=1e-5)
-    assert float(loss) == pytest.approx(weight * float(error.mean()), rel=1e-5)
+    mean = jnp.mean(error**2 if counted == "squared" else jnp.abs(error))
+    assert float(loss) == pytest.approx(weight * float(mean), rel=1e-5)
+
+
+def test_dropout_is_of_the_level_it_is_set_for():
+    config = small({"low.regression.dropout": 0.5})
+    state, batch = fresh(config), waypoint_batch()
+    for loss_of, params, alike in (
+        (method.high_loss, state.high.params, True),
+        (method.low_loss, state.low.params, False),
+    ):
+        first, second = (
+            loss_of(config, params, state.value.params, unit(), batch, jax.random.key(k))[0] for k in (1, 2)
+        )
+        assert (float(first) == float(second)) is alike
 
 
 def test_waypoints_lie_k_steps_ahead_or_at_a_nearer_goal():

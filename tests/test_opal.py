@@ -131,18 +131,30 @@ def test_nothing_beyond_the_episode_gets_in(stride):
         assert float(jnp.abs(moved - look(given)[0]).min()) > 0
 
 
-def test_evidence_lower_bound_by_hand():
-    """A decoder that answers 0 and actions of (0.5, 1): an error of 0.625 a step, five steps in one window and three in
+@pytest.mark.parametrize(("counted", "error"), [("squared", 0.625), ("absolute", 0.75)])
+def test_evidence_lower_bound_by_hand(counted, error):
+    """A decoder that answers 0 and actions of (0.5, 1): the same error at every step, five in one window and three in
     the other; q = N(0, 1) and rho = N(1, 1) in three dimensions are 1.5 nats apart."""
-    config = small({"skills.beta": 0.2})
+    config = small({"skills.beta": 0.2, "skills.regression.error": counted})
     params = jax.tree.map(jnp.zeros_like, fresh(config).skills.params)
     *hidden, (weight, bias) = params.prior
     params = params._replace(prior=(*hidden, (weight, bias.at[:3].set(1.0))))
     given = window()._replace(actions=jnp.broadcast_to(jnp.array([0.5, 1.0]), (2, 5, 2)))
     loss, metrics = method.skills_loss(config.skills, params, unit(), given, jax.random.key(0))
-    assert float(loss) == pytest.approx((5 + 3) * 0.625 / 2 + 0.2 * 1.5)
+    assert float(loss) == pytest.approx((5 + 3) * error / 2 + 0.2 * 1.5)
     assert float(metrics["kl"]) == pytest.approx(1.5)
-    assert float(metrics["action_error"]) == pytest.approx(0.625)
+    assert float(metrics["action_error"]) == pytest.approx(error)
+
+
+@pytest.mark.parametrize(("dropout", "alike"), [(0.0, True), (0.5, False)])
+def test_dropout_is_of_the_decoder_while_learning(dropout, alike):
+    """With a decoder blind to z, the loss differs between keys by dropout alone."""
+    config = small({"skills.regression.dropout": dropout})
+    params = fresh(config).skills.params
+    (weight, bias), *rest = params.decoder
+    params = params._replace(decoder=((weight.at[4:].set(0.0), bias), *rest))
+    seen = [method.skills_loss(config.skills, params, unit(), window(), jax.random.key(k))[0] for k in (1, 2)]
+    assert (float(seen[0]) == float(seen[1])) is alike
 
 
 def test_high_transitions_by_hand():

@@ -18,6 +18,7 @@ from guider import losses
 from guider.config import check_fraction, check_networks, check_positive
 from guider.episodes import Spaces
 from guider.errors import GuiderError
+from guider.learners.regression import RegressionConfig
 from guider.methods.view import Scale, ViewConfig
 from guider.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
@@ -72,6 +73,7 @@ class ActorConfig:
     temperature: float = 1.0
     """Advantages, in environment steps, are divided by this before the exponential."""
     weight_ceiling: float = 100.0
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -166,6 +168,11 @@ def goal_inputs(
     return jnp.concatenate([state_inputs(scale, observation, achieved), seen, scale.waves(goal)], axis=-1)
 
 
+def control_inputs(scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array) -> jax.Array:
+    """What the low level sees: scaled s and z, [..., inputs]."""
+    return jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
+
+
 def normalised(vector: jax.Array) -> jax.Array:
     """At length sqrt(Z), so that entries are of size 1. [..., Z] -> [..., Z]."""
     length = jnp.sqrt(jnp.sum(vector**2, axis=-1, keepdims=True) + 1e-12)
@@ -251,6 +258,10 @@ def name_subgoal(
     return represent(config, params, scale, observation, achieved, place)
 
 
+def _actor(params: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> jax.Array:
+    return mlp(params, inputs, jax.nn.gelu, dropout, key)
+
+
 def _regression(
     settings: ActorConfig, advantage: jax.Array, predicted: jax.Array, target: jax.Array
 ) -> tuple[jax.Array, Metrics]:
@@ -261,33 +272,35 @@ def _regression(
         "weight": weight.mean(),
         "error": ((predicted - target) ** 2).mean(),
     }
-    return losses.weighted_regression(weight, predicted, target, "squared").mean(), metrics
+    return losses.weighted_regression(weight, predicted, target, settings.regression.error).mean(), metrics
 
 
 def high_loss(
-    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
     """Regression of pi_h(s, g) on z of s_{t+k} (`name_subgoal`), weighted by exp(A / temperature),
     A = V(s_{t+k}, g) - V(s, g).
 
-    A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there.
+    A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there. `key` is for dropout.
     """
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.goal).mean(axis=0)
     end = values(config, value, scale, batch.ahead_observation, batch.ahead, batch.goal).mean(axis=0)
     target = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
-    predicted = propose(config, params, scale, batch.observation, batch.achieved, batch.goal)
+    seen = goal_inputs(config, scale, batch.observation, batch.achieved, batch.goal)
+    predicted = _actor(params, seen, config.high.regression.dropout, key)
     return _regression(config.high, end - begin, predicted, target)
 
 
 def low_loss(
-    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
     """Regression of pi_l(s, z) on the logged action, z that of s_{t+k}, weighted by exp(A / temperature),
-    A = V(s', s_{t+k}) - V(s, s_{t+k})."""
+    A = V(s', s_{t+k}) - V(s, s_{t+k}). `key` is for dropout."""
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.ahead).mean(axis=0)
     end = values(config, value, scale, batch.next_observation, batch.next_achieved, batch.ahead).mean(axis=0)
     z = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
-    predicted = control(params, scale, batch.observation, batch.achieved, z)
+    seen = control_inputs(scale, batch.observation, batch.achieved, z)
+    predicted = jnp.tanh(_actor(params, seen, config.low.regression.dropout, key))
     return _regression(config.low, end - begin, predicted, batch.action)
 
 
@@ -295,13 +308,12 @@ def propose(
     config: HiqlConfig, params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, goal: jax.Array
 ) -> jax.Array:
     """Mean of pi_h(z | s, g), [..., Z]; its length is not sqrt(Z) yet."""
-    return mlp(params, goal_inputs(config, scale, observation, achieved, goal), jax.nn.gelu)
+    return _actor(params, goal_inputs(config, scale, observation, achieved, goal))
 
 
 def control(params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array) -> jax.Array:
     """Mean of pi_l(a | s, z), [..., A] in [-1, 1]."""
-    seen = jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
-    return jnp.tanh(mlp(params, seen, jax.nn.gelu))
+    return jnp.tanh(_actor(params, control_inputs(scale, observation, achieved, z)))
 
 
 def stages(config: HiqlConfig) -> tuple[Stage, ...]:
@@ -325,6 +337,9 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
         params, optimiser = adam_step(rate, old.params, gradients, old.optimiser)
         return ValueState(params, trail(old.target, params, settings.target_rate), optimiser), metrics
 
+    def dropout_key(key: jax.Array) -> jax.Array:
+        return jax.random.fold_in(key, 2)  # the sampler splits `key` in two
+
     def actor_update(settings: ActorConfig, old: ActorState, loss):
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
         gradients, metrics = jax.grad(loss, has_aux=True)(old.params)
@@ -333,13 +348,15 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
     def update_high(state: HiqlState, data: Data, key: jax.Array):
         batch = sample_waypoints(data, key, config.high.batch_size, config.subgoal_steps, config.random_goal_fraction)
         value, scale = state.value.params, state.scale
-        return actor_update(config.high, state.high, lambda p: high_loss(config, p, value, scale, batch))
+        return actor_update(
+            config.high, state.high, lambda p: high_loss(config, p, value, scale, batch, dropout_key(key))
+        )
 
     def update_low(state: HiqlState, data: Data, key: jax.Array):
         # No goal ends the way to s_{t+k} early.
         batch = sample_waypoints(data, key, config.low.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
         value, scale = state.value.params, state.scale
-        return actor_update(config.low, state.low, lambda p: low_loss(config, p, value, scale, batch))
+        return actor_update(config.low, state.low, lambda p: low_loss(config, p, value, scale, batch, dropout_key(key)))
 
     return (
         Stage("value", "value", config.value.updates, update_value),

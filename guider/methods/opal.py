@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from guider import losses
 from guider.config import check_fraction, check_networks, check_positive
 from guider.episodes import Spaces
+from guider.learners.regression import RegressionConfig, most_likely, predict
 from guider.methods import subgoal_policy
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
@@ -32,7 +33,7 @@ class SkillsConfig:
     """Settings of the autoencoder. Defaults are the authors' for antmaze, but for `updates`, which they count in passes
     over their data.
 
-    beta weighs the KL (nats, sum over latent dimensions) against the squared error of the actions (sum over the
+    beta weighs the KL (nats, sum over latent dimensions) against the error of the actions (sum over the
     window's steps, mean over action dimensions).
     """
 
@@ -49,6 +50,8 @@ class SkillsConfig:
     encoder_stride: int = 1
     """Steps that the encoder takes in at a time, side by side (departure; 1 is the paper)."""
     beta: float = 0.1
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
+    """Of the actions, by the decoder."""
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -139,21 +142,29 @@ def prior(params: SkillParams, scale: Scale, observation: jax.Array) -> Gaussian
 
 def decode(params: SkillParams, scale: Scale, observation: jax.Array, latent: jax.Array) -> jax.Array:
     """Mean of pi(a | s, z), [..., A] in [-1, 1]."""
-    return jnp.tanh(mlp(params.decoder, jnp.concatenate([scale.state(observation), latent], axis=-1)))
+    return most_likely(params.decoder, decoder_inputs(scale, observation, latent))
+
+
+def decoder_inputs(scale: Scale, observation: jax.Array, latent: jax.Array) -> jax.Array:
+    """What the decoder sees: scaled s and z, [..., S + Z]."""
+    return jnp.concatenate([scale.state(observation), latent], axis=-1)
 
 
 def skills_loss(
     config: SkillsConfig, params: SkillParams, scale: Scale, window: Trajectories, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
-    """The evidence lower bound negated, mean over the batch: squared error of the actions + beta * KL(q || rho).
+    """The evidence lower bound negated, mean over the batch: error of the actions + beta * KL(q || rho).
 
-    The decoder is a Gaussian of fixed spread: -log pi is the squared error, mean over action dimensions, summed over
-    the window's steps within the episode. The KL is summed over latent dimensions, in nats.
+    The decoder is a Gaussian of fixed spread, or as `regression` says: -log pi is the squared error, mean over action
+    dimensions, summed over the window's steps within the episode. The KL is summed over latent dimensions, in nats.
     """
+    sample_key, dropout_key = jax.random.split(key)
     posterior = encode(config, params, scale, window)
-    latent = jnp.repeat(posterior.sample(key)[:, None], window.valid.shape[1], axis=1)
-    error = ((decode(params, scale, window.observations, latent) - window.actions) ** 2).mean(axis=-1)
-    error = jnp.where(window.valid, error, 0.0).sum(axis=-1)
+    latent = jnp.repeat(posterior.sample(sample_key)[:, None], window.valid.shape[1], axis=1)
+    seen = decoder_inputs(scale, window.observations, latent)
+    predicted = predict(config.regression, params.decoder, seen, dropout_key)
+    counted = window.valid.astype(predicted.dtype)
+    error = losses.weighted_regression(counted, predicted, window.actions, config.regression.error).sum(axis=-1)
     kl = losses.gaussian_kl(posterior, prior(params, scale, window.observations[:, 0])).sum(axis=-1)
     metrics = {"action_error": error.sum() / window.valid.sum(), "kl": kl.mean()}
     return (error + config.beta * kl).mean(), metrics
