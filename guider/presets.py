@@ -114,8 +114,11 @@ def preset_config(method: str, preset: Preset, problem: Problem) -> Any:
     return _PRESETS[method](preset, problem)
 
 
-def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = None) -> GuiderConfig:
-    """Guider's settings for a problem, with another learner for its low level where one is given (Figure 4)."""
+def guider_config(
+    preset: Preset, problem: Problem, low: LearnerConfig | None = None, low_updates: float = 1.0
+) -> GuiderConfig:
+    """Guider's settings for a problem, with another learner for its low level where one is given (Figure 4), which
+    `fast` trains for `low_updates` times as many updates: dear ones take no longer than Guider's own."""
     paper = GuiderConfig(
         problem=problem,
         latent=LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", 2)),
@@ -163,7 +166,8 @@ def guider_config(preset: Preset, problem: Problem, low: LearnerConfig | None = 
             random_goal_fraction=0.5,
         ),
     )
-    return _change(fast, _in_domain(problem, FAST_IN_DOMAIN))
+    fast = _change(fast, _in_domain(problem, FAST_IN_DOMAIN))
+    return replace(fast, low=replace(fast.low, updates=round(fast.low.updates * low_updates)))
 
 
 def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, updates: int, changes: Changes) -> FlatConfig:
@@ -270,7 +274,7 @@ _PRESETS: dict[str, Callable[[Preset, Problem], Any]] = {
     "guider": guider_config,
     "guider-gcsl": partial(guider_config, low=GcslConfig()),
     "guider-wgcsl": partial(guider_config, low=WgcslConfig()),
-    "guider-cql": partial(guider_config, low=CqlConfig()),
+    "guider-cql": partial(guider_config, low=CqlConfig(), low_updates=0.3),
     "bc": partial(
         flat_config, learner=GcslConfig(), updates=40_000, changes={"relabel_fraction": 0.0, "future": "last"}
     ),
