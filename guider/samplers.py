@@ -91,8 +91,7 @@ class ValueBatch(NamedTuple):
 
     observation, end_observation: [B, S], the stretch's first state and the one after its last step;
     achieved: [B, n, G], s^G at each step, and end: [B, G] after the last; valid: [B, n] bool, False from the episode's
-    end on, where its last state stands; goal: [B, G]; steps: [B] int, steps from the first row to the one the goal was
-    taken from, -1 where that is not in the episode's rest.
+    end on, where its last state stands; goal: [B, G].
     """
 
     observation: jax.Array
@@ -101,7 +100,6 @@ class ValueBatch(NamedTuple):
     end: jax.Array
     valid: jax.Array
     goal: jax.Array
-    steps: jax.Array
 
 
 class WaypointBatch(NamedTuple):
@@ -365,9 +363,7 @@ def sample_value(
     last = data.last_row[starts]
     others = 1 - current_goal_fraction
     random_share = random_goal_fraction / others if others > 0 else 0.0
-    goal, goal_rows = _goals(
-        data, goal_key, starts + 1, last, 1 - random_share, random_share, "geometric", mean_goal_steps
-    )
+    goal, _ = _goals(data, goal_key, starts + 1, last, 1 - random_share, random_share, "geometric", mean_goal_steps)
     current = jax.random.uniform(kind_key, (batch_size,)) < current_goal_fraction
     rows = starts[:, None] + jnp.arange(stretch_steps)
     ends = jnp.minimum(starts + stretch_steps, last)
@@ -378,7 +374,6 @@ def sample_value(
         end=data.achieved[ends],
         valid=rows < last[:, None],
         goal=jnp.where(current[:, None], data.achieved[starts], goal),
-        steps=jnp.where(current, 0, jnp.where(goal_rows < 0, -1, goal_rows - starts)),
     )
 
 
