@@ -17,6 +17,7 @@ from rich.table import Table
 
 from guider.errors import GuiderError
 from guider.presets import Preset
+from guider.reproduce.paper import TargetName
 
 Json = Annotated[bool, tyro.conf.arg(name="json", help="Print one JSON document instead of text.")]
 TaskName = tyro.conf.Positional[str]
@@ -286,9 +287,7 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
 
 
 def reproduce(
-    target: tyro.conf.Positional[
-        Literal["table1", "table2", "table3", "figure3", "figure4", "figure5", "figure6", "figure7"]
-    ],
+    target: tyro.conf.Positional[TargetName],
     tasks: tuple[str, ...] = (),
     methods: tuple[str, ...] = (),
     preset: Preset = "fast",

@@ -6,6 +6,11 @@ beside our curves and bars are Table 1's and Table 2's, which they are drawn fro
 
 from __future__ import annotations
 
+from typing import Literal
+
+TargetName = Literal["table1", "table2", "table3", "figure3", "figure4", "figure5", "figure6", "figure7"]
+"""What can be made."""
+
 PaperScore = tuple[float, float | None] | None
 
 TABLE_1_METHODS: tuple[str, ...] = ("opal", "gcsl", "wgcsl", "cql-her", "guider")

@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from guider.errors import GuiderError
 from guider.methods import METHODS
@@ -18,8 +18,6 @@ from guider.presets import Preset
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
 from guider.tasks import find_task
-
-TargetName = Literal["table1", "table2", "table3", "figure3", "figure4", "figure5", "figure6", "figure7"]
 
 LABELS = {
     "opal": "OPAL",
