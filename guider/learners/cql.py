@@ -6,7 +6,7 @@ sample is weighted by the density it was drawn from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import jax
@@ -14,7 +14,6 @@ import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_not_negative, check_positive
-from guider.learners.regression import RegressionConfig, regress
 from guider.learners.types import Transitions
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
@@ -32,9 +31,7 @@ class CqlConfig:
     """Actions drawn from each of the three proposals, and for the max-Q backup."""
     conservative_weight: float = 5.0
     cloning_weight: float = 0.0
-    """Of the error to the logged action in the actor's loss (departure; CQL clones in early updates alone)."""
-    regression: RegressionConfig = field(default_factory=RegressionConfig)
-    """How that error counts. Dropout is of the actor whatever it learns."""
+    """Of the squared error to the logged action in the actor's loss (departure; CQL clones in early updates alone)."""
 
     def __post_init__(self) -> None:
         check_positive(self, "samples")
@@ -69,9 +66,9 @@ def act(state: CqlState, inputs: jax.Array) -> jax.Array:
     return jnp.tanh(_policy(state.params.actor, inputs).mean)
 
 
-def _policy(actor: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> Gaussian:
+def _policy(actor: Layers, inputs: jax.Array) -> Gaussian:
     """The distribution whose samples tanh turns into actions."""
-    return gaussian_head(mlp(actor, inputs, dropout=dropout, key=key))
+    return gaussian_head(mlp(actor, inputs))
 
 
 def squashed_sample(policy: Gaussian, key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
@@ -86,7 +83,7 @@ def update(
     config: CqlConfig, state: CqlState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[CqlState, Metrics]:
     """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A)."""
-    uniform_key, next_key, now_key, actor_key, dropout_key = jax.random.split(key, 5)
+    uniform_key, next_key, now_key, actor_key = jax.random.split(key, 4)
     old = state.params
     action_dim = batch.action.shape[-1]
     next_actions, next_density = squashed_sample(_policy(old.actor, batch.next_state), next_key, config.samples)
@@ -104,22 +101,23 @@ def update(
         td = ((values - target) ** 2).mean(axis=-1).sum()
         gap = losses.conservative_gap(fused[..., 1:], log_density, values).mean(axis=-1)
 
-        policy = _policy(params.actor, batch.state, config.regression.dropout, dropout_key)
+        policy = _policy(params.actor, batch.state)
         (action,), (density,) = (part.swapaxes(0, 1) for part in squashed_sample(policy, actor_key, 1))
         value = twin_values(old.critic, batch.state, action).min(axis=0)
         alpha = jnp.exp(params.log_alpha)
         actor = (jax.lax.stop_gradient(alpha) * density - value).mean()
         temperature = -params.log_alpha * jax.lax.stop_gradient(density.mean() - action_dim)
-        cloning, error = regress(config.regression, jnp.ones_like(batch.reward), jnp.tanh(policy.mean), batch.action)
+        error = ((jnp.tanh(policy.mean) - batch.action) ** 2).mean()
         metrics = {
             "td_error": td,
             "value": values.mean(),
             "conservative_gap": gap.mean(),
             "alpha": alpha,
             "policy_value": value.mean(),
+            "action_error": error,
         }
-        total = td + config.conservative_weight * gap.sum() + actor + temperature + config.cloning_weight * cloning
-        return total, metrics | error
+        total = td + config.conservative_weight * gap.sum() + actor + temperature + config.cloning_weight * error
+        return total, metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
     params, optimiser = adam_step(rate, old, gradients, state.optimiser)
