@@ -32,7 +32,7 @@ from guider.errors import GuiderError
 from guider.methods import METHODS
 from guider.methods.view import prepare, unit_scale
 from guider.policy import Policy
-from guider.training import Chunk, Position, init_seeds, train
+from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
 FORMAT = 4
 
@@ -318,4 +318,5 @@ def _drop_later_lines(path: Path, total: int) -> None:
 def _state_template(spec: RunSpec) -> Any:
     method = METHODS[spec.method]
     scale = unit_scale(spec.config.view, spec.spaces)
-    return jax.eval_shape(lambda: init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds))
+    init = jax.vmap(lambda key: method.init(spec.config, spec.spaces, scale, key))
+    return jax.eval_shape(init, seed_keys(spec.seeds))

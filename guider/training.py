@@ -58,7 +58,8 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
 
 def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyTree:
     """States of all seeds, stacked along a leading axis."""
-    return jax.jit(jax.vmap(init))(seed_keys(seeds))
+    quick = {"xla_backend_optimization_level": 1}  # runs once: optimised in full, it compiles for ten seconds more
+    return jax.jit(jax.vmap(init), compiler_options=quick)(seed_keys(seeds))
 
 
 def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:

@@ -3,6 +3,8 @@ at once, and take ragged episodes."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,32 +18,33 @@ from guider import api, runs
 from guider.config import differences, from_dict, to_dict
 from guider.errors import GuiderError
 from guider.methods import METHODS
-from guider.methods.view import prepare
-from guider.policy import Policy, act, initial_state
+from guider.policy import act, initial_state
 from guider.presets import preset_config
 from guider.problem import Problem
-from guider.training import init_seeds, train
 
 PROBLEM = Problem(radius=0.5, reach_radius=1.0, period_steps=5)
 
 
-def settings(method: str) -> dict[str, str]:
+def settings(method: str, updates: int = 8, hidden: tuple[int, ...] = (8,), batch_size: int = 8) -> dict[str, str]:
     """--set arguments that make a run of the method small."""
     config = preset_config(method, "fast", PROBLEM)
-    small = tiny(config, updates=8, hidden=(8,), batch_size=8)
+    small = tiny(config, updates, hidden, batch_size)
     return {name: str(value) for name, value in differences(small, config).items()}
 
 
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory) -> Path:
+    """Where methods that share a stage find it: `guider-` and a low level's name has Guider's high level."""
+    return tmp_path_factory.mktemp("stages")
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_learns_to_walk_a_corridor_either_way(method):
+def test_learns_to_walk_a_corridor_either_way(method, stages, tmp_path):
     """Goals 6 m away, which the recorded episodes reach and pass; the corridor is 20 m long."""
-    episodes = corridor()
-    config = tiny(preset_config(method, "fast", PROBLEM), updates=1000, hidden=(32, 32), batch_size=128)
-    data, scale = prepare(config.view, config.problem, episodes)
-    functions = METHODS[method]
-    state = init_seeds(lambda key: functions.init(config, episodes.spaces, scale, key), (0,))
-    state = jax.tree.map(lambda leaf: leaf[0], train(functions.stages(config), state, data, (0,)))
-    policy = Policy(state, -jnp.ones(1), jnp.ones(1), method, config, episodes.goal_indices, 1)
+    small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
+    own = {"radius": 0.5, "reach_radius": 1.0, "period_steps": 5, "method": method, "settings": small}
+    run = guider.train(data=corridor(), out=tmp_path / "run", held_out=0, stage_cache=stages, **own)
+    (policy,) = run.policies()
     position, goal = jnp.array([[-3.0], [3.0]]), jnp.array([[3.0], [-3.0]])
     acting, met = initial_state(policy, 2), np.zeros(2, bool)
     for step in range(25):
