@@ -337,26 +337,22 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
         params, optimiser = adam_step(rate, old.params, gradients, old.optimiser)
         return ValueState(params, trail(old.target, params, settings.target_rate), optimiser), metrics
 
-    def dropout_key(key: jax.Array) -> jax.Array:
-        return jax.random.fold_in(key, 2)  # the sampler splits `key` in two
-
-    def actor_update(settings: ActorConfig, old: ActorState, loss):
+    def actor_update(settings: ActorConfig, old: ActorState, loss, key: jax.Array):
+        dropout_key = jax.random.fold_in(key, 2)  # the sampler splits `key` in two
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
-        gradients, metrics = jax.grad(loss, has_aux=True)(old.params)
+        gradients, metrics = jax.grad(lambda params: loss(params, dropout_key), has_aux=True)(old.params)
         return ActorState(*adam_step(rate, old.params, gradients, old.optimiser)), metrics
 
     def update_high(state: HiqlState, data: Data, key: jax.Array):
         batch = sample_waypoints(data, key, config.high.batch_size, config.subgoal_steps, config.random_goal_fraction)
         value, scale = state.value.params, state.scale
-        return actor_update(
-            config.high, state.high, lambda p: high_loss(config, p, value, scale, batch, dropout_key(key))
-        )
+        return actor_update(config.high, state.high, lambda p, k: high_loss(config, p, value, scale, batch, k), key)
 
     def update_low(state: HiqlState, data: Data, key: jax.Array):
         # No goal ends the way to s_{t+k} early.
         batch = sample_waypoints(data, key, config.low.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
         value, scale = state.value.params, state.scale
-        return actor_update(config.low, state.low, lambda p: low_loss(config, p, value, scale, batch, dropout_key(key)))
+        return actor_update(config.low, state.low, lambda p, k: low_loss(config, p, value, scale, batch, k), key)
 
     return (
         Stage("value", "value", config.value.updates, update_value),
