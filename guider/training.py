@@ -58,7 +58,7 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
 
 def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyTree:
     """States of all seeds, stacked along a leading axis."""
-    quick = {"xla_backend_optimization_level": 1}  # runs once: optimised in full, it compiles for ten seconds more
+    quick = {"xla_backend_optimization_level": 1}  # runs once, and would take longer to optimise than to run
     return jax.jit(jax.vmap(init), compiler_options=quick)(seed_keys(seeds))
 
 
