@@ -80,7 +80,7 @@ _FLAT: Changes = {
     "learner.temperature": 0.5,
 }
 _FLAT_UPDATES = {"antmaze": 2.5, "fetch": 4 / 3, "kitchen": 1 / 2}
-"""How much longer or shorter methods without subgoals train, by domain: to what Guider takes, or less."""
+"""How much longer or shorter methods without subgoals train, by domain: about what Guider takes, or less."""
 
 # Goals hundreds of steps ahead; and where all episodes are alike, the best advantages are noise.
 _LONG: Changes = {"learner.discount": 0.995, "learner.best_advantage_weight": False}

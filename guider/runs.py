@@ -30,7 +30,7 @@ from guider.config import from_dict, to_dict
 from guider.episodes import Episodes, Spaces
 from guider.errors import GuiderError
 from guider.methods import METHODS
-from guider.methods.view import prepare, unit_scale
+from guider.methods.view import Scale, prepare, unit_scale
 from guider.policy import Policy
 from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
@@ -173,11 +173,11 @@ def _train(
     cache: Path | None,
 ) -> None:
     """Run the stages, logging every chunk; checkpoints come as `pace` says and at each stage's end."""
-    method, spec = METHODS[run.spec.method], run.spec
+    spec = run.spec
     data, scale = prepared
     if restored is None:
         begin = Position(0, 0)
-        state = init_seeds(lambda key: method.init(spec.config, spec.spaces, scale, key), spec.seeds)
+        state = init_seeds(_initialiser(spec, scale), spec.seeds)
     else:
         begin, state = restored
         state = jax.tree.map(jnp.asarray, state)
@@ -315,8 +315,11 @@ def _drop_later_lines(path: Path, total: int) -> None:
         temporary.replace(path)
 
 
+def _initialiser(spec: RunSpec, scale: Scale) -> Callable[[jax.Array], Any]:
+    """key -> one seed's fresh state."""
+    return lambda key: METHODS[spec.method].init(spec.config, spec.spaces, scale, key)
+
+
 def _state_template(spec: RunSpec) -> Any:
-    method = METHODS[spec.method]
-    scale = unit_scale(spec.config.view, spec.spaces)
-    init = jax.vmap(lambda key: method.init(spec.config, spec.spaces, scale, key))
-    return jax.eval_shape(init, seed_keys(spec.seeds))
+    init = _initialiser(spec, unit_scale(spec.config.view, spec.spaces))
+    return jax.eval_shape(jax.vmap(init), seed_keys(spec.seeds))

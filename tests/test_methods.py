@@ -42,8 +42,17 @@ def stages(tmp_path_factory) -> Path:
 def test_learns_to_walk_a_corridor_either_way(method, stages, tmp_path):
     """Goals 6 m away, which the recorded episodes reach and pass; the corridor is 20 m long."""
     small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
-    own = {"radius": 0.5, "reach_radius": 1.0, "period_steps": 5, "method": method, "settings": small}
-    run = guider.train(data=corridor(), out=tmp_path / "run", held_out=0, stage_cache=stages, **own)
+    run = guider.train(
+        data=corridor(),
+        radius=PROBLEM.radius,
+        reach_radius=PROBLEM.reach_radius,
+        period_steps=PROBLEM.period_steps,
+        method=method,
+        settings=small,
+        out=tmp_path / "run",
+        held_out=0,
+        stage_cache=stages,
+    )
     (policy,) = run.policies()
     position, goal = jnp.array([[-3.0], [3.0]]), jnp.array([[3.0], [-3.0]])
     acting, met = initial_state(policy, 2), np.zeros(2, bool)
