@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import make_ragged
-from test_guider import corridor
+from test_guider import corridor, crosses_corridor
 from test_samplers import counts, labelled
 
 from guider.config import from_dict, override, to_dict
@@ -263,10 +263,4 @@ def test_hiql_learns_to_cross_a_corridor_longer_than_its_episodes_go(subgoal):
     )
     assert bool(jnp.all(jnp.diff(values) > 0)) and abs(float(values[-1])) < 1, "nearer is better, a met goal worth 0"
     policy = Policy(state, -jnp.ones(1), jnp.ones(1), "hiql", config, (0,), 1)
-    position, goal = jnp.array([[-7.5], [7.5]]), jnp.array([[7.5], [-7.5]])
-    acting, met = initial_state(policy, 2), np.zeros(2, bool)
-    for step in range(40):
-        actions, acting = compiled_act(policy, position, goal, acting, jnp.full(2, step == 0))
-        position = jnp.clip(position + actions, -10, 10)
-        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
-    assert met.all()
+    assert crosses_corridor(policy, distance=15, steps=40)

@@ -6,11 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import make_ragged, tiny
-from test_guider import corridor
+from test_guider import corridor, crosses_corridor
 from test_runs import assert_bit_equal
 
 import guider
@@ -18,7 +17,6 @@ from guider import api, runs
 from guider.config import differences, from_dict, to_dict
 from guider.errors import GuiderError
 from guider.methods import METHODS
-from guider.policy import act, initial_state
 from guider.presets import preset_config
 from guider.problem import Problem
 
@@ -54,13 +52,7 @@ def test_learns_to_walk_a_corridor_either_way(method, stages, tmp_path):
         stage_cache=stages,
     )
     (policy,) = run.policies()
-    position, goal = jnp.array([[-3.0], [3.0]]), jnp.array([[3.0], [-3.0]])
-    acting, met = initial_state(policy, 2), np.zeros(2, bool)
-    for step in range(25):
-        actions, acting = act(policy, position, goal, acting, jnp.full(2, step == 0))
-        position = jnp.clip(position + actions, -10, 10)
-        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
-    assert met.all()
+    assert crosses_corridor(policy, distance=6, steps=25)
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if not name.startswith("guider-")])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import make_ragged
-from test_guider import corridor
+from test_guider import corridor, crosses_corridor
 from test_samplers import labelled
 
 from guider import losses
@@ -249,10 +249,4 @@ def test_opal_learns_to_cross_a_corridor_longer_than_its_episodes_go():
     state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), (0,))
     state = jax.tree.map(lambda leaf: leaf[0], train(method.stages(config), state, data, (0,)))
     policy = Policy(state, -jnp.ones(1), jnp.ones(1), "opal", config, (0,), 1)
-    position, goal = jnp.array([[-7.5], [7.5]]), jnp.array([[7.5], [-7.5]])
-    acting, met = initial_state(policy, 2), np.zeros(2, bool)
-    for step in range(60):
-        actions, acting = compiled_act(policy, position, goal, acting, jnp.full(2, step == 0))
-        position = jnp.clip(position + actions, -10, 10)
-        met |= np.asarray(jnp.abs(position - goal)[:, 0] <= 0.5)
-    assert met.all()
+    assert crosses_corridor(policy, distance=15, steps=60)
