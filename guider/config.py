@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import difflib
 import json
 import types
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, names_like
 
 C = TypeVar("C")
 
@@ -26,7 +25,7 @@ def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config
         raise GuiderError(f"{where} must hold settings by name, got {values!r}")
     for name in values:
         if name not in hints:
-            raise GuiderError(f"{where} has no setting {name!r}{_near(name, hints)}")
+            raise GuiderError(f"{where} has no setting {name!r}; {names_like(name, hints)}")
     for name in hints:
         if name not in values:
             raise GuiderError(f"{where} lacks the setting {name!r}; it was written by another version")
@@ -42,7 +41,7 @@ def override(config: C, assignments: dict[str, Any]) -> C:
         for parent in parents:
             inner = inner.get(parent) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name not in inner or isinstance(inner[name], dict):
-            raise GuiderError(f"no setting is called {path!r}{_near(path, flatten(values))}")
+            raise GuiderError(f"no setting is called {path!r}; {names_like(path, flatten(values))}")
         inner[name] = _parse(text) if isinstance(text, str) else text
     return from_dict(type(config), values)
 
@@ -93,11 +92,6 @@ def check_shares(config: Any) -> None:
     """Raise GuiderError if relabelled and random goals together are more than all goals."""
     if config.relabel_fraction + config.random_goal_fraction > 1 + 1e-9:
         raise GuiderError("relabel_fraction and random_goal_fraction add up to more than 1")
-
-
-def _near(name: str, names: Any) -> str:
-    near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
-    return f"; did you mean {' or '.join(near)}?" if near else f"; there are {', '.join(names)}"
 
 
 def _parse(text: str) -> Any:
