@@ -1,11 +1,11 @@
-"""What the command line does, as Python functions: train, resume, load, evaluate, plot."""
+"""What the command line does, as Python functions: inspect, train, resume, load, evaluate, plot."""
 
 from __future__ import annotations
 
 import re
 import statistics
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,13 @@ from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.heldout import held_out_scores
+from guider.methods.view import check_radius, data_use, learned_windows
+from guider.paths import user_path
 from guider.policy import Agent, Policy
 from guider.presets import Preset, preset_config
 from guider.problem import Problem
 from guider.runs import Pace, Run, RunSpec
+from guider.samplers import no_window
 from guider.tasks import Task, find_task
 from guider.tasks.types import SCORE_UNITS
 from guider.training import Chunk
@@ -41,6 +44,7 @@ def train(
     reach_radius: float | None = None,
     period_steps: int | None = None,
     format: str | None = None,
+    episode_ends: Sequence[str] = (),
     method: str = "guider",
     preset: Preset = "fast",
     settings: dict[str, Any] | None = None,
@@ -49,14 +53,16 @@ def train(
     held_out: float | None = None,
     evaluate_every: int = 0,
     on_chunk: Callable[[Chunk, Any], None] = lambda chunk, state: None,
+    say: Callable[[str], None] = lambda line: None,
     stage_cache: str | Path | None = None,
     pace: Pace = DEFAULT_PACE,
 ) -> Run:
     """Train on a task's data or on your own, and return the finished run.
 
-    task: a name from `guider tasks`, or None for your own data, which then needs `goal_indices` and `radius`
-        (goal units).
+    task: a name from `guider tasks`, or None for your own data, which then needs `radius` (goal units) and, where the
+        data does not name its goal space, `goal_indices`.
     data: a file or dataset (see `guider.load_data`), or Episodes.
+    episode_ends: which signs of where episodes end to take from a file, by name; default: decided from all there are.
     reach_radius: a subgoal counts as reached this near; default the task's, or twice the radius.
     period_steps: c; default the task's, or a twentieth of the median episode, at least 5.
     settings: further settings by dotted name, e.g. {"high.samples": 2}; see guider.methods and guider.learners.
@@ -65,36 +71,36 @@ def train(
     held_out: fraction of episodes kept for `evaluate`; default 0 for a task, 0.1 for your own data.
     evaluate_every: evaluate all seeds at the first chunk's end after every so many updates of the last stage; 0 for
         never.
-    on_chunk: called between chunks of updates, e.g. to show progress; pace: how often to report and save.
+    on_chunk: called between chunks of updates, e.g. to show progress; say: called before training with a line about
+        what of the data is learned from, which run.json keeps; pace: how often to report and save.
     stage_cache: directory of stages trained before, by runs that share it: equal ones are taken over, new ones added.
     """
-    seeds = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    listed = seeds if isinstance(seeds, Iterable) else range(_whole(seeds, "seeds"))
+    seeds = tuple(_whole(seed, "seeds") for seed in listed)
     _check_seeds(seeds)
     cache = _cache(stage_cache, evaluate_every)
-    if fixed := [name for name in settings or {} if name.startswith("problem.")]:
-        raise GuiderError(f"{fixed[0]} is no setting: the task, or an option of its own, decides it")
-    benchmark = None if task is None else find_task(task)
-    if data is None:
-        hint = f"make some with `guider collect {task} --out FILE`" if benchmark and benchmark.collector else "a file"
-        raise GuiderError(f"no data given: name it with --data ({hint})")
-    goal_indices = _goal_indices(benchmark, data, goal_indices, radius)
-    episodes = _episodes(data, goal_indices, format)
-    if benchmark is not None:
-        _check_fits(benchmark, episodes)
-        problem = _problem(benchmark)
-    else:
-        assert radius is not None
-        problem = Problem(radius, 2 * radius, max(5, round(statistics.median(episodes.lengths.tolist()) / 20)))
-    chosen = {"reach_radius": reach_radius, "period_steps": period_steps}
-    problem = replace(problem, **{name: value for name, value in chosen.items() if value is not None})
-    config = override(preset_config(method, preset, problem), settings or {})
-    held_out = (0.0 if benchmark else 0.1) if held_out is None else held_out
+    directory = user_path(out) if out else default_directory(task, method, preset)
+    runs.check_new(directory)
+    problem, episodes, config = _settle(
+        task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, settings
+    )
+    held_out = (0.1 if task is None else 0.0) if held_out is None else float(held_out)
     if not 0 <= held_out < 1:
         raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
+    training, unseen = episodes.split(held_out) if held_out else (episodes, None)
+    if unseen is not None and len(learned_windows(config.view, problem, unseen)) == 0:
+        raise GuiderError(
+            f"{episodes.source}: the {len(unseen.starts)} episodes held out could not be scored: "
+            f"{no_window(unseen, problem.period_steps, config.view.minimum_move)}; or hold out more (--held-out), or "
+            "none (--held-out 0)"
+        )
+    use = str(data_use(config.view, problem, training))
+    say(use)
     spec = RunSpec(
         task=task,
-        data=episodes.source,
+        data=_lasting(data, episodes),
         format=format,
+        episode_ends=tuple(episode_ends),
         fingerprint=episodes.fingerprint(),
         held_out=held_out,
         method=method,
@@ -103,9 +109,89 @@ def train(
         config=config,
         spaces=episodes.spaces,
     )
-    directory = Path(out) if out else default_directory(task, method, preset)
+    facts = {"episode_ends": [asdict(sign) for sign in episodes.end_signs], "data_use": use}
     callback = _with_evaluation(directory, spec, evaluate_every, on_chunk)
-    return runs.start(directory, spec, episodes, callback, pace, cache)
+    return runs.start(directory, spec, facts, episodes, callback, pace, cache)
+
+
+def inspect(
+    data: str | Path,
+    *,
+    task: str | None = None,
+    goal_indices: Sequence[int] | None = None,
+    radius: float | None = None,
+    reach_radius: float | None = None,
+    period_steps: int | None = None,
+    format: str | None = None,
+    episode_ends: Sequence[str] = (),
+    method: str = "guider",
+    preset: Preset = "fast",
+) -> dict[str, Any]:
+    """What logged data holds (see guider.data.describe) and, given a task or a radius, what `train` would make of it:
+    options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state."""
+    if task is None and radius is None:
+        assumed = None if goal_indices else (0, 1)
+        episodes = data_sources.load(data, goal_indices, format=format, episode_ends=episode_ends, assumed_goal=assumed)
+        return data_sources.describe(episodes)
+    problem, episodes, config = _settle(
+        task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, None
+    )
+    return data_sources.describe(episodes) | {
+        "training": {
+            "method": method,
+            "preset": preset,
+            "radius": problem.radius,
+            "reach_radius": problem.reach_radius,
+            "period_steps": problem.period_steps,
+            "data_use": str(data_use(config.view, problem, episodes)),
+        }
+    }
+
+
+def _settle(
+    task: str | None,
+    data: str | Path | Episodes | None,
+    goal_indices: Sequence[int] | None,
+    radius: float | None,
+    reach_radius: float | None,
+    period_steps: int | None,
+    format: str | None,
+    episode_ends: Sequence[str],
+    method: str,
+    preset: Preset,
+    settings: dict[str, Any] | None,
+) -> tuple[Problem, Episodes, Any]:
+    """(what is to be learned, all episodes, the method's settings), from what the user said and the data."""
+    if fixed := [name for name in settings or {} if name.startswith("problem.")]:
+        raise GuiderError(f"{fixed[0]} is no setting: the task, or an option of its own, decides it")
+    benchmark = None if task is None else find_task(task)
+    preset_config(method, preset, Problem())  # a name that is none is told before any data is read
+    if data is None:
+        hint = f"make some with `guider collect {task} --out FILE`" if benchmark and benchmark.collector else "a file"
+        raise GuiderError(f"no data given: name it with --data ({hint})")
+    if benchmark is not None:
+        if goal_indices is not None or radius is not None:
+            raise GuiderError(
+                f"{benchmark.name} fixes its goal entries and radius; leave --goal-indices and --radius out"
+            )
+        episodes = _episodes(data, benchmark.goal_indices, format, episode_ends)
+        _check_fits(benchmark, episodes)
+        problem = _problem(benchmark)
+    else:
+        if radius is None:
+            raise GuiderError(
+                "without a task name, say how near to a goal counts as met (--radius 0.5) and which state entries are "
+                "the goal (--goal-indices 0 1)"
+            )
+        episodes = _episodes(data, goal_indices, format, episode_ends)
+        period = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
+        problem = Problem(float(radius), 2 * float(radius), period)
+    if reach_radius is not None:
+        problem = replace(problem, reach_radius=float(reach_radius))
+    if period_steps is not None:
+        problem = replace(problem, period_steps=_whole(period_steps, "period_steps"))
+    check_radius(problem, episodes)
+    return problem, episodes, override(preset_config(method, preset, problem), settings or {})
 
 
 def default_directory(task: str | None, method: str, preset: str) -> Path:
@@ -128,7 +214,7 @@ def resume(
     same data.
     """
     cache = _cache(stage_cache, evaluate_every)
-    opened = runs.open_run(run)
+    opened = _open(run)
     callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
     runs.resume(opened, _same_data(opened, data), callback, pace, cache)
     return opened
@@ -136,11 +222,24 @@ def resume(
 
 def load(run: str | Path | Run, seed: int | None = None) -> Agent:
     """The trained agent of a run, ready to `reset()` and `act(observation, goal)`. seed: default the first."""
-    opened = run if isinstance(run, Run) else runs.open_run(run)
+    opened = _open(run)
     return Agent(opened.policies()[_seed_index(opened, seed)])
 
 
-def evaluate(
+def evaluate(run: str | Path | Run, **options: Any) -> dict[str, Any]:
+    """Score a finished run's last checkpoint (options and result: see `score`) and write evaluation.json into it."""
+    opened = _open(run)
+    result = score(opened, **options)
+    keep_score(opened, result)
+    return result
+
+
+def keep_score(run: str | Path | Run, result: dict[str, Any]) -> None:
+    """Write what `score` returned into the run's evaluation.json."""
+    runs.write_json(_open(run).directory / "evaluation.json", result)
+
+
+def score(
     run: str | Path | Run,
     *,
     episodes: int = 100,
@@ -148,7 +247,7 @@ def evaluate(
     data: str | Path | Episodes | None = None,
     on_steps: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Score a finished run's last checkpoint and write evaluation.json into it.
+    """The score of a finished run's last checkpoint.
 
     On a task: `episodes` episodes for every seed, environment seeds first_seed + seed index * episodes + e.
     On one's own data: the episodes that training never saw (see guider.heldout).
@@ -156,7 +255,7 @@ def evaluate(
     """
     if episodes < 1 or first_seed < 0:
         raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {episodes} and {first_seed}")
-    opened = run if isinstance(run, Run) else runs.open_run(run)
+    opened = _open(run)
     spec = opened.spec
     policies = opened.policies()
     protocol = {
@@ -180,6 +279,7 @@ def evaluate(
         unseen = logged.split(spec.held_out)[1]
         result = protocol | {
             "held_out_episodes": len(unseen.starts),
+            "held_out_use": str(data_use(spec.config.view, spec.config.problem, unseen)),
             "per_seed": [held_out_scores(policy, unseen) for policy in policies],
         }
     else:
@@ -196,7 +296,6 @@ def evaluate(
 
         outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
         result = protocol | _summary(task, outcomes, first_seed)
-    runs.write_json(opened.directory / "evaluation.json", result)
     return result
 
 
@@ -214,7 +313,7 @@ def plot(
     """
     from guider.plots import draw_run  # matplotlib takes a second to import
 
-    opened = run if isinstance(run, Run) else runs.open_run(run)
+    opened = _open(run)
     spec = opened.spec
     episodes = _same_data(opened, data)
     chosen = _seed_index(opened, seed)
@@ -246,7 +345,13 @@ def _seed_index(run: Run, seed: int | None) -> int:
 def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
     """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same."""
     spec = run.spec
-    episodes = _episodes(spec.data if data is None else data, spec.spaces.goal_indices, spec.format)
+    try:
+        given = spec.data if data is None else data
+        episodes = _episodes(given, spec.spaces.goal_indices, spec.format, spec.episode_ends)
+    except GuiderError as error:
+        if data is not None:
+            raise
+        raise GuiderError(f"{error} (what {run.directory} was trained on; if it has moved: --data PLACE)") from error
     fingerprint = episodes.fingerprint()
     if fingerprint != spec.fingerprint:
         raise GuiderError(
@@ -326,29 +431,34 @@ def _with_evaluation(
 def _cache(directory: str | Path | None, evaluate_every: int) -> Path | None:
     if directory is not None and evaluate_every:
         raise GuiderError("--evaluate-every needs the last stage trained here; leave --stage-cache out")
-    return None if directory is None else Path(directory)
+    return None if directory is None else user_path(directory)
 
 
-def _goal_indices(
-    task: Task | None, data: Any, goal_indices: Sequence[int] | None, radius: float | None
-) -> Sequence[int]:
-    """The goal space, from the task where there is one. Raises GuiderError where it, or the radius, is not settled."""
-    if task is not None:
-        if goal_indices is not None or radius is not None:
-            raise GuiderError(f"{task.name} fixes its goal entries and radius; leave --goal-indices and --radius out")
-        return task.goal_indices
-    if isinstance(data, Episodes) and goal_indices is None:
-        goal_indices = data.goal_indices
-    if goal_indices is None or radius is None:
-        raise GuiderError(
-            "without a task name, say which state entries are the goal (--goal-indices 0 1) "
-            "and how near counts as met (--radius 0.5)"
-        )
-    return goal_indices
+def _open(run: str | Path | Run) -> Run:
+    return run if isinstance(run, Run) else runs.open_run(user_path(run))
 
 
-def _episodes(data: str | Path | Episodes, goal_indices: Sequence[int], format: str | None) -> Episodes:
-    return data if isinstance(data, Episodes) else data_sources.load(data, goal_indices, format=format)
+def _whole(number: Any, name: str) -> int:
+    """The number as an int, NumPy's too. Raises GuiderError for anything but a whole number."""
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
+        raise GuiderError(f"{name} must be a whole number, got {number!r}")
+    return int(number)
+
+
+def _lasting(data: str | Path | Episodes | None, episodes: Episodes) -> str:
+    """The data's name, such that it is found again from another directory."""
+    path = None if isinstance(data, Episodes) else user_path(episodes.source)
+    return str(path.absolute()) if path is not None and path.exists() else episodes.source
+
+
+def _episodes(
+    data: str | Path | Episodes, goal_indices: Sequence[int] | None, format: str | None, episode_ends: Sequence[str]
+) -> Episodes:
+    if not isinstance(data, Episodes):
+        return data_sources.load(data, goal_indices, format=format, episode_ends=episode_ends)
+    if format is not None or episode_ends:
+        raise GuiderError("format and episode_ends say how to read a file; leave them out for Episodes")
+    return data if goal_indices is None else data.with_goal_space(goal_indices)
 
 
 def _check_fits(task: Task, episodes: Episodes) -> None:

@@ -1,10 +1,20 @@
-"""The command line. Every command is a function here; its docstring is its help."""
+"""The command line. Every command is a function here; its docstring is its help.
+
+Exit status: 0 done; 1 bad input or a place that cannot be read or written; 2 wrong usage; 3 a fault of guider's;
+130 and 143 stopped by Ctrl-C or SIGTERM; 141 nobody reads the output. What was wrong is said in one line;
+GUIDER_DEBUG=1 shows the trace.
+"""
 
 from __future__ import annotations
 
+import inspect as python_inspect
 import json
+import os
+import re
+import signal
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +25,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning, Stopped
+from guider.paths import user_path
 from guider.presets import Preset
 from guider.reproduce.paper import TargetName
 
@@ -27,10 +38,10 @@ RunDirectory = tyro.conf.Positional[Path]
 def train(
     task: tyro.conf.Positional[str | None] = None,
     data: str | None = None,
-    method: str = "guider",
-    preset: Preset = "fast",
-    seeds: int = 1,
-    first_seed: int = 0,
+    method: str | None = None,
+    preset: Preset | None = None,
+    seeds: int | None = None,
+    first_seed: int | None = None,
     out: Path | None = None,
     resume: Path | None = None,
     goal_indices: tuple[int, ...] = (),
@@ -39,6 +50,7 @@ def train(
     period_steps: int | None = None,
     held_out: float | None = None,
     format: str | None = None,
+    episode_ends: tuple[str, ...] = (),
     set: tuple[str, ...] = (),
     evaluate_every: int = 0,
     stage_cache: Path | None = None,
@@ -54,19 +66,21 @@ def train(
     Args:
         task: A benchmark from `guider tasks`; leave it out for your own data.
         data: HDF5 (D4RL), npz (OGBench or your own), a Minari directory or minari:ID. See `guider data inspect`.
-        method: What to train: guider; guider-gcsl, guider-wgcsl or guider-cql (with another low level); hiql, opal; or,
-            without subgoals, bc, gcsl, wgcsl, cql-her, iql.
-        preset: `fast` fits two cores; `paper` is the paper's equations and the authors' settings.
-        seeds: How many agents to train at once, in one compiled program.
-        first_seed: Their seeds count up from here, so that several machines can share a set of seeds.
+        method: What to train: guider (if nothing is said); guider-gcsl, guider-wgcsl or guider-cql (with another low
+            level); hiql, opal; or, without subgoals, bc, gcsl, wgcsl, cql-her, iql.
+        preset: `fast` (if nothing is said) fits two cores; `paper` is the paper's equations and the authors' settings.
+        seeds: How many agents to train at once, in one compiled program; by default 1.
+        first_seed: Their seeds count up from here, by default 0, so that several machines can share a set of seeds.
         out: New directory for the run; by default runs/TASK-METHOD-PRESET.
         resume: Continue this interrupted run; the result is the same to the bit. Other settings are the run's own.
-        goal_indices: Own data: the state entries that are the goal, e.g. 0 1 for x and y.
+        goal_indices: Own data: the state entries that are the goal, e.g. 0 1 for x and y. Minari's goal observations
+            name them themselves.
         radius: Own data: a goal counts as met within this distance, in the units of those entries.
         reach_radius: A subgoal counts as reached within this distance; by default twice the radius.
         period_steps: Steps between subgoals (c); by default the task's, or a twentieth of the median episode.
         held_out: Fraction of episodes kept aside for `guider evaluate`; by default 0.1 for own data, else 0.
-        format: How to read the data, if its content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain, wgcsl.
+        format: How to read the data, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl.
+        episode_ends: Which signs of where episodes end to take, of those that `guider data inspect` lists.
         set: Further settings by dotted name, e.g. --set high.samples=2 low.updates=50000.
         evaluate_every: Evaluate on the task after every so many updates of the last stage (0: never).
         stage_cache: Directory where runs share their stages: equal ones trained before are taken over, new ones kept.
@@ -75,19 +89,24 @@ def train(
     """
     from guider import api, sinks
 
-    settings = (task, out, set, goal_indices, radius, reach_radius, period_steps, held_out, format, first_seed)
-    if resume is not None and (any(settings) or seeds != 1 or preset != "fast"):
-        raise GuiderError("--resume takes all settings from the run; give only --data if the data has moved")
-    if seeds < 1:
-        raise GuiderError(f"--seeds must be 1 or more, got {seeds}")
-    with _stage_bars() as show:
+    if resume is not None:
+        said = (task, method, preset, seeds, first_seed, out, radius, reach_radius, period_steps, held_out, format)
+        if any(value is not None for value in said) or goal_indices or episode_ends or set:
+            raise GuiderError("--resume takes all settings from the run; give only --data if the data has moved")
+        directory = user_path(resume)
+    else:
+        method, preset, seeds = method or "guider", preset or "fast", 1 if seeds is None else seeds
+        if seeds < 1:
+            raise GuiderError(f"--seeds must be 1 or more, got {seeds}")
+        directory = user_path(out) if out else api.default_directory(task, method, preset)
+    sink = sinks.sink(log_to, directory)
+    with _stage_bars() as (say, show):
         if resume is not None:
-            sink = sinks.sink(log_to, resume)
             run = api.resume(
-                resume, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink), stage_cache=stage_cache
+                directory, data, evaluate_every=evaluate_every, on_chunk=_both(show, sink), stage_cache=stage_cache
             )
         else:
-            directory = out or api.default_directory(task, method, preset)
+            first_seed = first_seed or 0
             run = api.train(
                 task,
                 data,
@@ -96,14 +115,16 @@ def train(
                 reach_radius=reach_radius,
                 period_steps=period_steps,
                 format=format,
-                method=method,
-                preset=preset,
+                episode_ends=episode_ends,
+                method=method or "guider",
+                preset=preset or "fast",
                 settings=_assignments(set),
-                seeds=range(first_seed, first_seed + seeds),
+                seeds=range(first_seed, first_seed + (seeds or 1)),
                 out=directory,
                 held_out=held_out,
                 evaluate_every=evaluate_every,
-                on_chunk=_both(show, sinks.sink(log_to, directory)),
+                on_chunk=_both(show, sink),
+                say=say,
                 stage_cache=stage_cache,
             )
     text = f"trained {run.directory}; next: `guider evaluate {run.directory}` and `guider plot {run.directory}`"
@@ -131,8 +152,9 @@ def evaluate(
     from guider import api
 
     with _bar("evaluating", "steps") as show:
-        result = api.evaluate(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
+        result = api.score(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
     _answer(result, _evaluation_table(result), as_json)
+    api.keep_score(run, result)  # after it was shown: the place may be read-only
 
 
 def plot(run: RunDirectory, seed: int | None = None, data: str | None = None, as_json: Json = False) -> None:
@@ -200,34 +222,59 @@ def _task_facts(task: Any) -> dict[str, Any]:
 def data(
     action: tyro.conf.Positional[Literal["inspect", "fetch"]],
     source: tyro.conf.Positional[str | None] = None,
-    goal_indices: tuple[int, ...] = (0, 1),
+    task: str | None = None,
+    goal_indices: tuple[int, ...] = (),
+    radius: float | None = None,
+    reach_radius: float | None = None,
+    period_steps: int | None = None,
     format: str | None = None,
+    episode_ends: tuple[str, ...] = (),
     out: Path | None = None,
     mirror: str | None = None,
     as_json: Json = False,
 ) -> None:
     """Look at logged data, or fetch what others published.
 
-    `guider data inspect SOURCE` reads it as training would and says what it holds. `guider data fetch` lists what can
-    be fetched; `guider data fetch NAME` fetches and checks it, going on where an earlier download broke off.
+    `guider data inspect SOURCE` reads it as training would and says what it holds; with --task or --radius also what
+    share of it training would learn from. `guider data fetch` lists what can be fetched; `guider data fetch NAME`
+    fetches and checks it, going on where an earlier download broke off.
 
     Args:
         action: inspect or fetch.
         source: What to inspect: HDF5, npz, a pickle of WGCSL's, a Minari directory or minari:ID. Or a name to fetch.
-        goal_indices: inspect: the state entries that are the goal.
-        format: inspect: how to read it, if content does not tell: d4rl, d4rl-kitchen, minari, ogbench, plain, wgcsl.
+        task: inspect: the benchmark that it is for.
+        goal_indices: inspect: the state entries that are the goal; by default the source's own, or else 0 1.
+        radius: inspect: a goal counts as met within this distance, as for `guider train`.
+        reach_radius: inspect: as for `guider train`.
+        period_steps: inspect: as for `guider train`.
+        format: inspect: how to read it, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl.
+        episode_ends: inspect: which signs of where episodes end to take, of those listed.
         out: fetch: directory for the files; by default GUIDER_DATA, or else ~/.cache/guider.
         mirror: fetch: URL of a folder that holds the files under their own names, tried first.
         as_json: Print one JSON document instead of text.
     """
-    from guider import data as sources
+    from guider import api
     from guider.data.catalogue import CATALOGUE, find_dataset
     from guider.data.download import fetch
 
+    reading = (task, radius, reach_radius, period_steps, format)
+    if action == "fetch" and (any(value is not None for value in reading) or goal_indices or episode_ends):
+        raise GuiderError("guider data fetch takes --out and --mirror only; the other options are for inspect")
+    if action == "inspect" and (out is not None or mirror is not None):
+        raise GuiderError("guider data inspect takes no --out and no --mirror; they are for fetch")
     if action == "inspect":
         if source is None:
             raise GuiderError("say what to inspect: guider data inspect SOURCE")
-        description = sources.describe(sources.load(source, goal_indices, format=format))
+        description = api.inspect(
+            source,
+            task=task,
+            goal_indices=goal_indices or None,
+            radius=radius,
+            reach_radius=reach_radius,
+            period_steps=period_steps,
+            format=format,
+            episode_ends=episode_ends,
+        )
         lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in description.items()]
         _answer(description, "\n".join(lines), as_json)
     elif source is None:
@@ -358,26 +405,111 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command. Returns the exit status: 0, or 1 after one line that says what was wrong."""
+    """Run one command and say in a line what was wrong, if anything. Returns the exit status, see this file's top."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal that lacks a letter shows its number
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
-            prog="guider",
-            description="Learn long, sparse-reward tasks from logged data: get data, train, evaluate, plot.",
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-    except GuiderError as error:
-        print(f"guider: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"guider: {where}{error.strerror or error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("guider: interrupted (a run being trained goes on with `guider train --resume`)", file=sys.stderr)
-        return 130
+        with _stopping_on_sigterm(), _showing_warnings():
+            tyro.extras.subcommand_cli_from_dict(
+                COMMANDS,
+                prog="guider",
+                description="Learn long, sparse-reward tasks from logged data: get data, train, evaluate, plot.",
+                args=_gathered(sys.argv[1:] if arguments is None else arguments),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+            sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+        return 141
+    except (Exception, KeyboardInterrupt, Stopped) as error:
+        if os.environ.get("GUIDER_DEBUG"):
+            raise
+        status, line = _told(error)
+        print(f"guider: {line}", file=sys.stderr)
+        return status
     return 0
+
+
+def _told(error: BaseException) -> tuple[int, str]:
+    """(exit status, what to say) of what ended a command."""
+    match error:
+        case Stopped():
+            return 128 + error.signal_number, str(error)
+        case KeyboardInterrupt():
+            return 128 + signal.SIGINT, "interrupted"
+        case GuiderError():
+            return 1, str(error)
+        case OSError():
+            where = f"{error.filename}: " if error.filename else ""
+            return 1, f"{where}{error.strerror or error}"
+        case MemoryError():
+            return 1, f"there is not enough memory ({' '.join(str(error).split()) or 'none is left'})"
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    return 3, f"a fault of guider's own, please report it: {what[:300]} (GUIDER_DEBUG=1 shows the trace)"
+
+
+@contextmanager
+def _stopping_on_sigterm() -> Iterator[None]:
+    """SIGTERM ends a command as Ctrl-C does: what is open is put in order, children end too."""
+
+    def stop(number: int, frame: Any) -> None:
+        raise Stopped("ended by SIGTERM", number)
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # not in the main thread, where signals are for someone else
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _showing_warnings() -> Iterator[None]:
+    """Guider's warnings as lines, once each; others as Python shows them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", GuiderWarning)
+        shown, others = [], warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
+            if not issubclass(category, GuiderWarning):
+                others(message, category, *rest, **more)
+            elif str(message) not in shown:
+                shown.append(str(message))
+                print(f"guider: warning: {message}", file=sys.stderr)
+
+        warnings.showwarning = show
+        yield
+
+
+_OPTION = re.compile(r"--[a-z]")
+
+
+def _gathered(arguments: list[str]) -> list[str]:
+    """The arguments with options that take several values and were given several times put together: all that was said
+    counts. Raises GuiderError for any other option given twice."""
+    command = COMMANDS.get(arguments[0]) if arguments else None
+    if command is None:
+        return arguments
+    parameters = python_inspect.signature(command).parameters.values()
+    several = {f"--{p.name.replace('_', '-')}" for p in parameters if str(p.annotation).startswith("tuple[")}
+    gathered: list[list[str]] = [[]]  # positional arguments, then each option with its values
+    for argument in arguments:
+        if not _OPTION.match(argument):
+            gathered[-1].append(argument)
+            continue
+        name, *value = argument.split("=", 1)
+        name = name.replace("_", "-")
+        earlier = next((option for option in gathered if option[:1] == [name]), None)
+        if earlier is not None and name not in several:
+            raise GuiderError(f"{name} is given twice; say it once")
+        if earlier is not None:
+            gathered.remove(earlier)
+        gathered.append([*(earlier or [name]), *value])
+    return [argument for option in gathered for argument in option]
 
 
 def _answer(document: Any, text: Any, as_json: bool) -> None:
@@ -391,7 +523,11 @@ def _assignments(texts: tuple[str, ...]) -> dict[str, str]:
     for text in texts:
         if "=" not in text:
             raise GuiderError(f"--set takes NAME=VALUE pairs, got {text!r}")
-    return {name: value for name, value in (text.split("=", 1) for text in texts)}
+    pairs = [text.split("=", 1) for text in texts]
+    names = [name for name, _ in pairs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise GuiderError(f"--set gives {twice[0]} twice; say it once")
+    return {name: value for name, value in pairs}
 
 
 def _both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
@@ -437,7 +573,7 @@ def _plan_bar():
 
 @contextmanager
 def _stage_bars():
-    """A bar per stage, fed by the engine's chunks: updates done, rate, time left."""
+    """(a way to say a line, a bar per stage, fed by the engine's chunks: updates done, rate, time left)."""
     with _progress(TextColumn("{task.fields[rate]:.0f}/s")) as progress:
         bars: dict[int, Any] = {}
 
@@ -447,7 +583,7 @@ def _stage_bars():
                 bars[index] = progress.add_task(chunk.stage.name, total=chunk.stage.updates, rate=0.0)
             progress.update(bars[index], completed=chunk.position.update, rate=chunk.updates / chunk.seconds)
 
-        yield show
+        yield lambda line: progress.console.print(line, highlight=False, markup=False, soft_wrap=True), show
 
 
 def _evaluation_table(result: dict[str, Any]) -> Table:
@@ -471,6 +607,8 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
 
 
 def _short(value: Any) -> str:
-    return (
-        ", ".join(f"{name} {_short(item)}" for name, item in value.items()) if isinstance(value, dict) else str(value)
-    )
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_short(item)}" for name, item in value.items())
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return "; ".join(map(_short, value))
+    return str(value)

@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
+
+SMALLEST_SPREAD = 1e-3
+"""Of a state entry, in its own unit: smaller ones are shown to networks as if they were this."""
+GoalSpaceFrom = Literal["asked for", "the source", "assumed"]
 
 
 @dataclass(frozen=True)
 class Spaces:
     """What a policy's inputs and outputs look like.
 
-    state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds.
+    state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds;
+    state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known.
     """
 
     state_dim: int
     goal_indices: tuple[int, ...]
     action_low: tuple[float, ...]
     action_high: tuple[float, ...]
+    state_low: tuple[float, ...] = ()
+    state_high: tuple[float, ...] = ()
 
     @property
     def goal_dim(self) -> int:
@@ -30,6 +39,18 @@ class Spaces:
     @property
     def action_dim(self) -> int:
         return len(self.action_low)
+
+
+@dataclass(frozen=True)
+class EndSign:
+    """Something that says where logged episodes end.
+
+    name: the array it is read from, or what it is; ends: how many rows it marks; used: whether they were taken as ends.
+    """
+
+    name: str
+    ends: int
+    used: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +67,8 @@ class Episodes:
     goals:        [rows, goal_dim] float32, the goal recorded with each row, or None
     action_low, action_high: [action_dim] float32, bounds of a valid action
     source:       where the data came from, for people to read
+    end_signs:    what said where episodes end, for people to read
+    goal_space_from: who named the goal space: whoever asked for the data, its source, or nobody (it is assumed)
     """
 
     observations: np.ndarray
@@ -56,6 +79,8 @@ class Episodes:
     action_low: np.ndarray
     action_high: np.ndarray
     source: str
+    end_signs: tuple[EndSign, ...] = ()
+    goal_space_from: GoalSpaceFrom = "asked for"
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "goals"):
@@ -80,11 +105,17 @@ class Episodes:
 
     @property
     def spaces(self) -> Spaces:
+        low, high, goal = self.observations.min(axis=0), self.observations.max(axis=0), list(self.goal_indices)
+        if self.goals is not None:
+            low[goal] = np.minimum(low[goal], self.goals.min(axis=0))
+            high[goal] = np.maximum(high[goal], self.goals.max(axis=0))
         return Spaces(
             state_dim=self.observations.shape[1],
             goal_indices=self.goal_indices,
             action_low=tuple(map(float, self.action_low)),
             action_high=tuple(map(float, self.action_high)),
+            state_low=tuple(map(float, low)),
+            state_high=tuple(map(float, high)),
         )
 
     def fingerprint(self) -> str:
@@ -117,6 +148,13 @@ class Episodes:
             starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
         )
 
+    def with_goal_space(self, goal_indices: Sequence[int]) -> Episodes:
+        """The same episodes with the goal space asked for; goals recorded in another are left out."""
+        indices = check_goal_indices(goal_indices, self.observations.shape[1], self.source)
+        if indices == self.goal_indices:
+            return self
+        return replace(self, goal_indices=indices, goals=None, goal_space_from="asked for")
+
     def split(self, held_out: float) -> tuple[Episodes, Episodes]:
         """(training, held-out) episodes; the same fraction always holds out the same episodes, and at least one."""
         if not 0 < held_out < 1:
@@ -132,6 +170,13 @@ class Episodes:
         return self.select(np.sort(order[n_held:])), self.select(np.sort(order[:n_held]))
 
 
+_FEW_SINGLE, _SINGLE_FRACTION = 10, 0.01
+_BLOCK_ROWS = 1 << 16
+_MOST_LOST = 0.01
+_FAR_FROM_ZERO = 4096.0
+_BOUND_TOLERANCE = 2e-4  # rounding, in the unit box; relative to half the range elsewhere
+
+
 def make_episodes(
     observations: np.ndarray,
     actions: np.ndarray,
@@ -142,6 +187,7 @@ def make_episodes(
     action_low: np.ndarray | float | None = None,
     action_high: np.ndarray | float | None = None,
     source: str = "arrays in memory",
+    end_signs: tuple[EndSign, ...] = (),
 ) -> Episodes:
     """Validate flat arrays and make Episodes of them.
 
@@ -149,7 +195,7 @@ def make_episodes(
     lengths: [episodes] states per episode, sum == rows. Episodes of a single state hold no transition and
     are dropped. The action in the last row of an episode may be anything, NaN too: it is set to 0, so that
     equal data are equal whatever a source writes there. Action bounds that are not given are inferred:
-    [-1, 1] where all actions lie within it, else the extremes seen.
+    [-1, 1] where all actions lie within it but for rounding, else the extremes seen.
 
     Raises GuiderError, naming `source` and the offending array, on NaN or inf, wrong shapes, lengths that
     disagree, goal indices out of range, actions outside the bounds given, or no episode of two states.
@@ -158,9 +204,11 @@ def make_episodes(
     def fail(message: str) -> GuiderError:
         return GuiderError(f"{source}: {message}")
 
-    observations = _as_float32(observations, "observations", fail)
-    actions = _numbers(actions, "actions", fail)
-    goals = None if goals is None else _as_float32(goals, "goals", fail)
+    observations, actions = _numbers(observations, "observations", source), _numbers(actions, "actions", source)
+    goals = None if goals is None else _numbers(goals, "goals", source)
+    for name, array in (("observations", observations), ("goals", goals)):
+        if array is not None:
+            _check_finite(array, name, fail)
     lengths = np.asarray(lengths)
 
     rows, state_dim = observations.shape
@@ -184,6 +232,12 @@ def make_episodes(
     _check_finite(actions, "actions", fail)
 
     if np.any(lengths < 2):
+        single = int(np.sum(lengths < 2))
+        if single > max(_FEW_SINGLE, _SINGLE_FRACTION * rows):
+            warnings.warn(
+                GuiderWarning(f"{source}: {single:,} of {rows:,} rows are episodes of a single state and are left out"),
+                stacklevel=2,
+            )
         keep = np.repeat(lengths >= 2, lengths)
         observations, actions, is_action = observations[keep], actions[keep], is_action[keep]
         goals = None if goals is None else goals[keep]
@@ -201,6 +255,7 @@ def make_episodes(
         action_low=low,
         action_high=high,
         source=source,
+        end_signs=end_signs or (EndSign("lengths", len(lengths)),),
     )
 
 
@@ -227,18 +282,45 @@ def check_goal_indices(goal_indices: Sequence[int], state_dim: int, source: str)
     return indices
 
 
-def _as_float32(array: np.ndarray, name: str, fail) -> np.ndarray:
-    array = _numbers(array, name, fail)
-    _check_finite(array, name, fail)
-    return array
-
-
-def _numbers(array: np.ndarray, name: str, fail) -> np.ndarray:
+def _numbers(array: np.ndarray, name: str, source: str) -> np.ndarray:
     array = np.asarray(array)
     if array.ndim != 2 or 0 in array.shape or array.dtype.kind not in "fiu":
-        raise fail(f"{name} must be a non-empty 2-D array of numbers, got {array.dtype} of shape {array.shape}")
-    with np.errstate(over="ignore"):
-        return np.ascontiguousarray(array, dtype=np.float32)
+        raise GuiderError(
+            f"{source}: {name} must be a non-empty 2-D array of numbers, got {array.dtype} of shape {array.shape}"
+        )
+    return to_float32(array, name, source)
+
+
+def to_float32(array: Any, name: str, source: str) -> np.ndarray:
+    """[rows, columns] float32 of an array, or of an HDF5 dataset, which is read a block at a time.
+
+    Warns of columns far from 0 that lose more than a hundredth of what they vary by: map coordinates, time stamps.
+    """
+    rows, columns = array.shape
+    result = np.empty((rows, columns), np.float32)
+    if array.dtype.itemsize <= 4 and array.dtype.kind == "f":
+        result[...] = array
+        return result
+    low, high, lost = np.full(columns, np.inf), np.full(columns, -np.inf), np.zeros(columns)
+    for start in range(0, rows, _BLOCK_ROWS):
+        block = np.asarray(array[start : start + _BLOCK_ROWS], np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            result[start : start + len(block)] = block
+            lost = np.fmax(lost, np.fmax.reduce(np.abs(block - result[start : start + len(block)]), axis=0))
+        low, high = np.fmin(low, np.fmin.reduce(block, axis=0)), np.fmax(high, np.fmax.reduce(block, axis=0))
+    size = np.fmax(np.abs(low), np.abs(high))
+    coarse = (size <= np.finfo(np.float32).max) & (size >= _FAR_FROM_ZERO) & (high > low)
+    coarse[coarse] = lost[coarse] > _MOST_LOST * (high[coarse] - low[coarse])
+    for column in np.flatnonzero(coarse):
+        warnings.warn(
+            GuiderWarning(
+                f"{source}: {name} column {column} varies by {high[column] - low[column]:.3g} around "
+                f"{low[column]:.10g}, where float32, in which networks compute, tells apart only steps of "
+                f"{np.spacing(np.float32(size[column])):.2g}; subtract an origin before saving it"
+            ),
+            stacklevel=2,
+        )
+    return result
 
 
 def _check_finite(array: np.ndarray, name: str, fail) -> None:
@@ -249,7 +331,7 @@ def _check_finite(array: np.ndarray, name: str, fail) -> None:
 
 def _action_bounds(actions: np.ndarray, low, high, fail) -> tuple[np.ndarray, np.ndarray]:
     seen_low, seen_high = actions.min(axis=0), actions.max(axis=0)
-    in_unit_box = bool(np.all(seen_low >= -1) and np.all(seen_high <= 1))
+    in_unit_box = bool(np.all(seen_low >= -1 - _BOUND_TOLERANCE) and np.all(seen_high <= 1 + _BOUND_TOLERANCE))
     if low is None:
         low = -1.0 if in_unit_box else seen_low
     if high is None:
@@ -265,7 +347,7 @@ def _action_bounds(actions: np.ndarray, low, high, fail) -> tuple[np.ndarray, np
     if np.any(low >= high):
         entry = int(np.argmax(low >= high))
         raise fail(f"action entry {entry} has bounds [{low[entry]:g}, {high[entry]:g}]: it never changes")
-    tolerance = 1e-4 * (high - low)
+    tolerance = _BOUND_TOLERANCE / 2 * (high - low)
     outside = (seen_low < low - tolerance) | (seen_high > high + tolerance)
     if outside.any():
         entry = int(np.argmax(outside))

@@ -28,5 +28,5 @@ class Stopped(BaseException):
 def names_like(name: str, names: Iterable[str]) -> str:
     """For a message about a name that is none: the names like it, or else all there are."""
     names = list(map(str, names))
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     return f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names)}"

@@ -18,7 +18,7 @@ PyTree = Any
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["state", "action_low", "action_high"],
+    data_fields=["state", "action_low", "action_high", "state_low", "state_high"],
     meta_fields=["method", "config", "goal_indices", "state_dim"],
 )
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class Policy:
     """One seed's trained policy: a pytree whose leaves are arrays and whose settings are static.
 
     state: the method's trained state; action_low, action_high: [A] bounds of the actions it returns;
-    goal_indices: entries of a state that form the goal space; state_dim: S.
+    goal_indices: entries of a state that form the goal space; state_dim: S;
+    state_low, state_high: [S] what the networks may be shown of each state entry, None for anything (see `act`).
     """
 
     state: PyTree
@@ -36,6 +37,8 @@ class Policy:
     config: Any
     goal_indices: tuple[int, ...]
     state_dim: int
+    state_low: jax.Array | None = None
+    state_high: jax.Array | None = None
 
     @property
     def action_dim(self) -> int:
@@ -57,15 +60,27 @@ def act(
     """One step for a batch, pure and jittable.
 
     observation: [B, S]; goal: [B, G]; state: see `initial_state`; reset_mask: [B] bool, True where an episode
-    begins. Returns actions [B, A] within the action bounds, and the next acting state. The method's actions are scaled
-    by its setting `action_scale` around the bounds' centre: below 1, what was learned is done more gently.
+    begins. Returns actions [B, A] within the action bounds, and the next acting state. Actions are scaled by the
+    setting `action_scale` towards the resting action (see `resting_action`): below 1, what was learned is done more
+    gently. State entries and goals far outside what the data holds are taken for its limits: an entry that hardly
+    varied there has taught the networks nothing, and must not overrule the others.
     """
+    if policy.state_low is not None and policy.state_high is not None:
+        observation = jnp.clip(observation, policy.state_low, policy.state_high)
+        entries = jnp.asarray(policy.goal_indices)
+        goal = jnp.clip(goal, policy.state_low[entries], policy.state_high[entries])
     actions, state = METHODS[policy.method].act(
         policy.config, policy.state, policy.goal_indices, observation, goal, state, reset_mask
     )
     centre = (policy.action_high + policy.action_low) / 2
     half_range = (policy.action_high - policy.action_low) / 2
-    return centre + half_range * policy.config.action_scale * actions, state
+    rest = resting_action(policy.action_low, policy.action_high)
+    return rest + policy.config.action_scale * (centre + half_range * actions - rest), state
+
+
+def resting_action(low: jax.Array, high: jax.Array) -> jax.Array:
+    """[A] the action that does nothing: 0, or where the bounds leave 0 out, the bound nearest to it."""
+    return jnp.clip(0.0, low, high)
 
 
 compiled_act = jax.jit(act)

@@ -41,14 +41,16 @@ FORMAT = 4
 class RunSpec:
     """What determines a run, to the bit, on one machine.
 
-    task: benchmark task, None for one's own data; data: where the episodes came from; format: how they
-    were read, None if told by content; fingerprint: of the episodes trained on; held_out: fraction of
-    episodes kept for `guider evaluate`; config: the method's settings; spaces: dimensions and action bounds.
+    task: benchmark task, None for one's own data; data: where the episodes came from; format: how they were read, None
+    if told by content; episode_ends: signs of where they end that were asked for, () if decided; fingerprint: of the
+    episodes trained on; held_out: fraction of episodes kept for `guider evaluate`; config: the method's settings;
+    spaces: dimensions and bounds.
     """
 
     task: str | None
     data: str
     format: str | None
+    episode_ends: tuple[str, ...]
     fingerprint: str
     held_out: float
     method: str
@@ -106,6 +108,7 @@ def _finish(directory: Path) -> str:
 
 def policies(spec: RunSpec, state: Any) -> list[Policy]:
     """One policy per seed from a state whose leaves are [seeds, ...]."""
+    shown_low, shown_high = _shown(spec.spaces)
     return [
         Policy(
             state=jax.tree.map(lambda leaf, i=index: jnp.asarray(leaf[i]), state),
@@ -115,14 +118,25 @@ def policies(spec: RunSpec, state: Any) -> list[Policy]:
             config=spec.config,
             goal_indices=spec.spaces.goal_indices,
             state_dim=spec.spaces.state_dim,
+            state_low=shown_low,
+            state_high=shown_high,
         )
         for index in range(len(spec.seeds))
     ]
 
 
+def _shown(spaces: Spaces) -> tuple[jax.Array | None, jax.Array | None]:
+    """Limits of what a policy is shown of a state: the data's range and half of it more on either side."""
+    if not spaces.state_low:
+        return None, None
+    low, high = jnp.asarray(spaces.state_low, jnp.float32), jnp.asarray(spaces.state_high, jnp.float32)
+    return low - (high - low) / 2, high + (high - low) / 2
+
+
 def start(
     directory: Path,
     spec: RunSpec,
+    facts: dict[str, Any],
     episodes: Episodes,
     on_chunk: Callable[[Chunk, Any], None],
     pace: Pace,
@@ -130,22 +144,27 @@ def start(
 ) -> Run:
     """Train a new run from the beginning, but for stages that `cache` knows (see guider.stage_cache).
 
-    Raises GuiderError if `directory` is taken.
+    facts: what was found about the data, for people to read in run.json. Raises GuiderError if `directory` is taken.
     """
-    if directory.exists():
-        raise GuiderError(
-            f"{directory} exists already and is never overwritten; choose another --out, "
-            f"or continue it with `guider train --resume {directory}`"
-        )
+    check_new(directory)
     run = Run(directory, spec)
     prepared = _prepare(spec, episodes)
     directory.parent.mkdir(parents=True, exist_ok=True)
     temporary = directory.with_name(f".{directory.name}.{os.getpid()}")
     temporary.mkdir()
-    write_json(temporary / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
+    write_json(temporary / "run.json", {"run_format": FORMAT, **to_dict(spec), "facts": facts, "made_with": versions()})
     temporary.rename(directory)
     _train(run, prepared, None, on_chunk, pace, cache)
     return run
+
+
+def check_new(directory: Path) -> None:
+    """Raise GuiderError if `directory` is taken."""
+    if directory.exists() or directory.is_symlink():
+        raise GuiderError(
+            f"{directory} exists already and is never overwritten; choose another --out, "
+            f"or continue it with `guider train --resume {directory}`"
+        )
 
 
 def resume(
@@ -254,7 +273,8 @@ def open_run(directory: str | Path) -> Run:
         raise GuiderError(f"{path} cannot be read: {error}") from error
     if not isinstance(values, dict) or values.pop("run_format", None) != FORMAT:
         raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
-    values.pop("made_with", None)
+    for name in ("made_with", "facts"):
+        values.pop(name, None)
     method = values.get("method")
     if not isinstance(method, str) or method not in METHODS:
         raise GuiderError(f"{path} names the method {method!r}; there are {', '.join(METHODS)}")

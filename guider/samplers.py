@@ -187,11 +187,7 @@ def device_data(
     transition_rows = window_starts(episodes, period_steps, "clip", minimum_move, move_within)
     window_rows = window_starts(episodes, period_steps, boundary, minimum_move, move_within)
     if len(window_rows) == 0:
-        raise GuiderError(
-            f"{episodes.source}: no episode holds a window of {period_steps} steps that moves {minimum_move:g} or more "
-            f"in goal space (the longest episode has {episodes.lengths.max()} states); choose a shorter period "
-            "(--period-steps), or check the goal indices"
-        )
+        raise GuiderError(f"{episodes.source}: {no_window(episodes, period_steps, minimum_move)}")
     return Data(
         observations=jax.device_put(episodes.observations, may_alias=True),
         actions=jnp.asarray((episodes.actions - centre) / half_range),
@@ -201,6 +197,37 @@ def device_data(
         transition_rows=jnp.asarray(transition_rows),
         window_rows=jnp.asarray(window_rows),
     )
+
+
+def no_window(episodes: Episodes, period_steps: int, minimum_move: float) -> str:
+    """Why no row starts a window of c = `period_steps` steps that moves `minimum_move`, and what would help."""
+    longest = int(episodes.lengths.max())
+    if longest <= period_steps:
+        return (
+            f"no episode holds a window of {period_steps} steps, the longest has {longest} states; choose a period of "
+            f"{longest - 1} steps or fewer (--period-steps)"
+        )
+    furthest = {steps: moves(episodes, steps).max() for steps in (period_steps, *_longer(period_steps, longest))}
+    here = furthest[period_steps]
+    enough = next((steps for steps, move in furthest.items() if move >= minimum_move), None)
+    longer = f"a longer period (--period-steps {enough}) or " if enough else ""
+    return (
+        f"no window of {period_steps} steps moves {minimum_move:g} in goal space (view.minimum_move), the furthest "
+        f"moves {here:.3g}; choose {longer}a smaller distance (--reach-radius {here / 2:.2g}, or --set "
+        "view.minimum_move=0 to learn from every row)"
+    )
+
+
+def _longer(period_steps: int, longest: int) -> list[int]:
+    """Longer periods to look at, up to those of the longest episode."""
+    return [steps for power in range(1, 12) if (steps := period_steps * 2**power) < longest] + [longest - 1]
+
+
+def moves(episodes: Episodes, steps: int) -> np.ndarray:
+    """[windows] how far s^G moves in `steps` steps, from every row with as many ahead in its episode."""
+    first = np.flatnonzero(np.arange(len(episodes.observations)) + steps <= episodes.last_rows)
+    achieved = episodes.achieved
+    return np.linalg.norm(achieved[first + steps] - achieved[first], axis=1)
 
 
 def _choose(key: jax.Array, rows: jax.Array, count: int) -> jax.Array:

@@ -77,8 +77,8 @@ def test_minari_vectors(minari_root):
         episodes = load(source, GOAL)
         assert episodes.fingerprint() == expected.fingerprint()
         assert episodes.source == str(source)
-    with pytest.raises(GuiderError, match="cannot be read as d4rl"):
-        load("minari:test/walk-v0", GOAL, format="d4rl")
+    with pytest.raises(GuiderError, match="cannot be read as wgcsl"):
+        load("minari:test/walk-v0", GOAL, format="wgcsl")
 
 
 @pytest.mark.filterwarnings("ignore")

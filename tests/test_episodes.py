@@ -182,3 +182,19 @@ def test_split_is_disjoint_complete_and_repeatable(lengths, held_out):
         train.fingerprint(),
         held.fingerprint(),
     ]
+
+
+def test_rounding_does_not_widen_the_bounds():
+    actions = np.tile([[0.5, -0.3]], (20, 1))
+    for value in (1.0, 1.0000002):
+        actions[3, 0] = value
+        made = make_episodes(np.eye(20), actions, [20], (0, 1))
+        assert (made.action_low.tolist(), made.action_high.tolist()) == ([-1, -1], [1, 1])
+
+
+def test_spaces_hold_what_is_seen_of_each_entry():
+    observations = np.zeros((4, 3))
+    observations[:, 0], observations[:, 2] = [1, 5, 3, 2], 7
+    goals = np.array([[9.0], [1], [1], [1]])
+    spaces = make_episodes(observations, np.zeros((4, 1)), [4], (0,), goals=goals).spaces
+    assert spaces.state_low == (1, 0, 7) and spaces.state_high == (9, 0, 7)

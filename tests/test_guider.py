@@ -11,7 +11,7 @@ import pytest
 from conftest import make_ragged, tiny
 from test_training import train_guider
 
-from guider import losses
+from guider import losses, runs
 from guider.config import differences, from_dict, override, to_dict
 from guider.episodes import make_episodes
 from guider.errors import GuiderError
@@ -277,14 +277,34 @@ def untrained(config, episodes) -> Policy:
     return Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
 
 
-def test_actions_are_scaled_around_the_centre_of_their_bounds(fast_config, ragged):
-    low, high, centre = jnp.array([-1.0, 2.0]), jnp.array([1.0, 6.0]), jnp.array([0.0, 4.0])
+def test_actions_are_scaled_towards_the_resting_action(fast_config, ragged):
+    """0, or the bound nearest to it: a throttle that rests at an end of its range stays there."""
+    low, high, rest = jnp.array([-1.0, 2.0]), jnp.array([1.0, 6.0]), jnp.array([0.0, 2.0])
     policy = replace(untrained(fast_config, ragged), action_low=low, action_high=high)
     gentle = replace(policy, config=replace(fast_config, action_scale=0.25))
     inputs = jnp.ones((1, 4)), jnp.ones((1, 2)), initial_state(policy, 1), jnp.ones(1, bool)
     (full, _), (quarter, _) = act(policy, *inputs), act(gentle, *inputs)
-    np.testing.assert_allclose(quarter[0] - centre, 0.25 * (full[0] - centre), rtol=1e-5, atol=1e-6)
-    assert jnp.abs(full[0] - centre).min() > 1e-3
+    np.testing.assert_allclose(quarter[0] - rest, 0.25 * (full[0] - rest), rtol=1e-5, atol=1e-6)
+    assert jnp.abs(full[0] - rest).min() > 1e-3
+
+
+def test_what_the_data_never_varied_is_not_shown(fast_config, ragged):
+    """Beyond the data's range and half of it more, an entry or a goal changes nothing: a constant one never does."""
+    spaces = replace(ragged.spaces, state_low=(-20.0, -20, 0, 3), state_high=(20.0, 20, 8, 3))
+    (policy,) = runs.policies(
+        runs.RunSpec(None, "", None, (), "", 0.0, "guider", "fast", (0,), fast_config, spaces),
+        jax.tree.map(lambda leaf: leaf[None], untrained(fast_config, ragged).state),
+    )
+
+    def answer(observation, goal=(1.0, 1.0)):
+        begins = initial_state(policy, 1), jnp.ones(1, bool)
+        return np.asarray(act(policy, jnp.array([observation]), jnp.array([goal]), *begins)[0])
+
+    np.testing.assert_array_equal(answer([0.0, 0, 4, 3]), answer([0.0, 0, 4, 3.05]))
+    np.testing.assert_array_equal(answer([0.0, 0, 12, 3]), answer([0.0, 0, 1e6, 3]))
+    np.testing.assert_array_equal(answer([0.0, 0, 4, 3], (40.0, 0)), answer([0.0, 0, 4, 3], (1e6, 0)))
+    assert np.abs(answer([0.0, 0, 4, 3]) - answer([0.0, 0, 8, 3])).max() > 1e-4
+    assert np.abs(answer([0.0, 0, 4, 3]) - answer([39.0, 0, 4, 3])).max() > 1e-4
 
 
 def test_acting_is_batched_row_by_row(fast_config, ragged):

@@ -11,7 +11,8 @@ import numpy as np
 
 from guider.collect.fetch_experts import ACTION_DIM, Expert
 from guider.collect.processes import map_in_processes
-from guider.data.store import Recording, lengths_from_ends
+from guider.data.ends import lengths_from_ends
+from guider.data.store import Recording
 from guider.errors import GuiderError
 
 EPISODE_STEPS = 50

@@ -11,7 +11,8 @@ import numpy as np
 
 from guider.collect.kitchen_demos import EPISODE_STEPS, Chain, demonstrate
 from guider.collect.processes import map_in_processes
-from guider.data.store import Recording, lengths_from_ends
+from guider.data.ends import lengths_from_ends
+from guider.data.store import Recording
 from guider.errors import GuiderError
 from guider.goals import Parts, part_distances
 

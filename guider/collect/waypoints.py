@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from guider.data.store import Recording, lengths_from_ends
+from guider.data.ends import lengths_from_ends
+from guider.data.store import Recording
 from guider.errors import GuiderError
 
 if TYPE_CHECKING:  # guider.tasks imports this module

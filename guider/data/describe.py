@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from guider.episodes import Episodes
+from guider.episodes import SMALLEST_SPREAD, Episodes
 
 _WINDOWS = (1, 5, 10, 20, 50, 100)
 _STILL_FRACTION = 1e-3
@@ -21,7 +22,10 @@ def describe(episodes: Episodes) -> dict[str, Any]:
     space: the median distance, and the fraction that stay within a thousandth of the goal space the data
     covers. It helps to choose a subgoal period and to see data that stands still. Periods longer than every
     episode are left out. `actions_at_bounds` is the fraction of action entries that lie within a thousandth of their
-    range from a bound: behaviour at its limits may be worth repeating more gently (`action_scale`).
+    range from a bound: behaviour at its limits may be worth repeating more gently (`action_scale`, which scales
+    towards `resting_action`). `episode_ends` lists every sign of where episodes end, how many rows it marks, and
+    whether these were taken as ends. `goal_space_from` says who named the goal indices: "assumed" if nobody did.
+    `hardly_varying_state_entries` have a spread below 0.001, which is as good as none to a network.
     """
     achieved = episodes.achieved
     low, high = episodes.observations.min(axis=0), episodes.observations.max(axis=0)
@@ -39,19 +43,28 @@ def describe(episodes: Episodes) -> dict[str, Any]:
             "median": float(np.median(lengths)),
             "max": int(lengths.max()),
         },
+        "episode_ends": [asdict(sign) for sign in episodes.end_signs],
         "state_dim": episodes.observations.shape[1],
         "action_dim": episodes.actions.shape[1],
         "goal_indices": indices,
+        "goal_space_from": episodes.goal_space_from,
         "state_range": _pairs(low, high),
         "constant_state_entries": [int(i) for i in np.flatnonzero(low == high)],
+        "hardly_varying_state_entries": _hardly_varying(episodes.observations),
         "goal_range": _pairs(low[indices], high[indices]),
         "action_bounds": _pairs(episodes.action_low, episodes.action_high),
+        "resting_action": [_round(entry) for entry in np.clip(0.0, episodes.action_low, episodes.action_high)],
         "actions_at_bounds": _at_bounds(episodes),
         "recorded_goals": episodes.goals is not None,
         "goal_travel": [
             _travel(achieved, episodes.last_rows, steps, extent) for steps in _WINDOWS if steps < lengths.max()
         ],
     }
+
+
+def _hardly_varying(observations: np.ndarray) -> list[int]:
+    spread = observations.std(axis=0, dtype=np.float64)
+    return [int(i) for i in np.flatnonzero((spread < SMALLEST_SPREAD) & (np.ptp(observations, axis=0) > 0))]
 
 
 def _at_bounds(episodes: Episodes) -> float:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from guider.data.store import Recording
-from guider.episodes import check_goal_indices
+from guider.episodes import EndSign, check_goal_indices
 from guider.errors import GuiderError
+from guider.goals import goal_entries
 
 MAIN_FILE = "main_data.hdf5"
 
@@ -26,14 +27,14 @@ def dataset_directory(path: Path) -> Path | None:
     return None
 
 
-def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]) -> Recording:
+def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...] | None) -> Recording:
     """Read the dataset with the id `location`, or in the directory `location`.
 
     An episode of T actions has T + 1 states. Of observations that are dicts, the state is `observation`, and
     `achieved_goal` is put in front of it where it is not among its entries (as in AntMaze, whose
     `observation` leaves out x and y), so that a goal space can always be named by state entries.
-    `desired_goal` is the recorded goal where `achieved_goal` is the goal space asked for. Goals that are
-    dicts are left out. What is put in front and what is kept is decided by the first episode.
+    `desired_goal` is the recorded goal where `achieved_goal` is the goal space asked for, or none is asked for: then it
+    is the dataset's own. Goals that are dicts are left out.
 
     Raises GuiderError for a dataset that is not on this machine, is damaged, or whose states or actions are not
     vectors.
@@ -51,17 +52,16 @@ def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]
         raise GuiderError(f"{source}: cannot be read as a Minari dataset ({error})") from error
     try:
         return _gather(dataset, source, goal_indices)
-    except (OSError, KeyError, AssertionError) as error:
+    except (OSError, KeyError, ValueError, AssertionError) as error:
         raise GuiderError(f"{source}: the Minari dataset is damaged or cut off ({error!r})") from error
 
 
-def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...]) -> Recording:
+def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...] | None) -> Recording:
     episode_count = len(dataset)
     if episode_count == 0:
         raise GuiderError(f"{source}: the Minari dataset holds no episodes")
     rows = int(dataset.total_steps) + episode_count
-    observations = actions = goals = None
-    prepend = keep_goals = False
+    arrays: dict[str, np.ndarray] = {}
     lengths, row = np.zeros(episode_count, np.int64), 0
 
     for index, episode in enumerate(dataset.iterate_episodes()):
@@ -70,7 +70,6 @@ def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...]) -> Recordi
         if "observation" not in parts:
             raise GuiderError(f"{source}: observations hold {', '.join(parts)}, but no 'observation'")
         state, action = parts["observation"], episode.actions
-        achieved, desired = _vectors(parts.get("achieved_goal")), _vectors(parts.get("desired_goal"))
         for name, array in (("observations", state), ("actions", action)):
             if not isinstance(array, np.ndarray) or array.ndim != 2:
                 raise GuiderError(f"{source}: {name} must be vectors (a 1-D Box); these are not")
@@ -79,37 +78,53 @@ def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...]) -> Recordi
                 f"{source}: episode {episode.id} has {len(state)} states and {len(action)} actions; "
                 "there must be one state more"
             )
-        if observations is None or actions is None:
-            prepend = achieved is not None and not contains(state, achieved)
-            width = state.shape[1] + (achieved.shape[1] if prepend and achieved is not None else 0)
-            goal_indices = check_goal_indices(goal_indices, width, source)
-            observations = np.zeros((rows, width), np.float32)
-            actions = np.zeros((rows, action.shape[1]), np.float32)
-        end = row + len(state)
-        if prepend and achieved is not None:
-            state = np.concatenate([achieved, state], axis=1)
-        observations[row:end], actions[row : end - 1] = state, action
-        if index == 0 and achieved is not None and desired is not None and desired.shape == achieved.shape:
-            asked_for = observations[row:end, list(goal_indices)]
-            keep_goals = asked_for.shape == achieved.shape and np.allclose(asked_for, achieved, atol=1e-5)
-            goals = np.zeros((rows, desired.shape[1]), np.float32) if keep_goals else None
-        if goals is not None:
-            goals[row:end] = desired
-        lengths[index], row = len(state), end
+        goal_parts = {name: _vectors(parts.get(name)) for name in ("achieved_goal", "desired_goal")}
+        found = {"states": state, "actions": action} | {k: v for k, v in goal_parts.items() if v is not None}
+        for name, array in found.items():
+            if index == 0:
+                arrays[name] = np.zeros((rows, array.shape[1]), np.float32)
+            arrays[name][row : row + len(array)] = array
+        lengths[index], row = len(state), row + len(state)
 
-    assert observations is not None and actions is not None
     space = dataset.action_space
     if not hasattr(space, "low"):
         raise GuiderError(f"{source}: actions must be continuous (a Box), not {space}")
     finite = bool(np.isfinite(space.low).all() and np.isfinite(space.high).all())
-    bounds = (space.low, space.high) if finite else (None, None)
-    return Recording(observations, actions, lengths, goals, *bounds)
+    states, own, goals = with_goal_space(
+        arrays["states"], arrays.get("achieved_goal"), arrays.get("desired_goal"), goal_indices, source
+    )
+    return Recording(
+        states,
+        arrays["actions"],
+        lengths,
+        goals,
+        *((space.low, space.high) if finite else (None, None)),
+        end_signs=(EndSign("episodes of the dataset", episode_count),),
+        goal_indices=own,
+    )
 
 
 def _vectors(array: Any) -> np.ndarray | None:
     return array if isinstance(array, np.ndarray) and array.ndim == 2 else None
 
 
-def contains(state: np.ndarray, achieved: np.ndarray) -> bool:
-    """Whether every entry of `achieved` equals some entry of `state` throughout. [rows, S], [rows, G]."""
-    return all(np.isclose(state, column[:, None], atol=1e-5).all(axis=0).any() for column in achieved.T)
+def with_goal_space(
+    states: np.ndarray,
+    achieved: np.ndarray | None,
+    desired: np.ndarray | None,
+    goal_indices: tuple[int, ...] | None,
+    source: str,
+) -> tuple[np.ndarray, tuple[int, ...] | None, np.ndarray | None]:
+    """States among whose entries the achieved goal is: it is put in front where it is not. states: [rows, S]; achieved,
+    desired: [rows, G], None where the source has none.
+
+    Returns (states, the entries of the source's goal space, desired where `goal_indices` name that space or are None).
+    """
+    if achieved is None:
+        return states, None, None
+    own = goal_entries(states, achieved)
+    if own is None:
+        states, own = np.concatenate([achieved, states], axis=1), tuple(range(achieved.shape[1]))
+    asked_for = own if goal_indices is None else check_goal_indices(goal_indices, states.shape[1], source)
+    same = len(asked_for) == len(own) and np.allclose(states[:, list(asked_for)], achieved, atol=1e-5)
+    return states, own, desired if same and desired is not None and desired.shape == achieved.shape else None

@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from guider.episodes import EndSign, to_float32
 from guider.errors import GuiderError
 
 _DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, zlib.error, zipfile.BadZipFile)
@@ -50,19 +51,14 @@ class Store:
         return shape[1] if len(shape) == 2 else 0
 
     def matrix(self, key: str) -> np.ndarray:
-        """[rows, columns] float32, at least one of each. HDF5 is converted as it is read: no second copy."""
+        """[rows, columns] float32, at least one of each. HDF5 is converted a block at a time: no second copy."""
         self.require(key)
         try:
             array = self.file[key]
             shape, dtype = array.shape, array.dtype  # pyright: ignore[reportAttributeAccessIssue]
             if len(shape) != 2 or 0 in shape or dtype.kind not in "fiu":
                 raise self.fail(f"{key} must be a non-empty 2-D array of numbers, got {dtype} of shape {shape}")
-            if isinstance(array, h5py.Dataset):
-                out = np.empty(shape, np.float32)
-                array.read_direct(out)
-                return out
-            with np.errstate(over="ignore"):
-                return np.ascontiguousarray(array, np.float32)
+            return to_float32(array, key, self.source)
         except _DAMAGED as error:
             raise self._unreadable(key, error) from error
 
@@ -85,7 +81,20 @@ class Store:
         array = self.vector(key)
         if len(array) != rows:
             raise self.fail(f"{key} has {len(array)} entries but observations have {rows} rows")
+        if not (fits := (array == 0) | (array == 1)).all():
+            raise self.fail(f"{key} must mark rows by 0 or 1, got {array[~fits][0]} in row {np.argmin(fits)}")
         return array.astype(bool)
+
+    def column(self, key: str, rows: int) -> np.ndarray | None:
+        """[rows] numbers, None where there is no such array or it is something else."""
+        if key not in self.keys:
+            return None
+        try:
+            array = self.file[key]
+            size, kind = array.size, array.dtype.kind  # pyright: ignore[reportAttributeAccessIssue]
+        except _DAMAGED as error:
+            raise self._unreadable(key, error) from error
+        return self.vector(key) if size == rows and kind in "fiub" and len(array.shape) in (1, 2) else None  # pyright: ignore
 
     def _unreadable(self, key: str, error: Exception) -> GuiderError:
         if "allow_pickle" in str(error):
@@ -157,6 +166,9 @@ class Recording:
     lengths:      [episodes] states per episode
     goals:        [rows, goal_dim] float32, or None where none are recorded for this goal space
     action_low, action_high: [action_dim], or None where the source does not say
+    end_signs:    what said where episodes end
+    warning:      what was decided about that and may be wrong, in one line, or None
+    goal_indices: the state entries that are the source's own goal space, None where it names none
     """
 
     observations: np.ndarray
@@ -165,11 +177,6 @@ class Recording:
     goals: np.ndarray | None = None
     action_low: np.ndarray | None = None
     action_high: np.ndarray | None = None
-
-
-def lengths_from_ends(ends: np.ndarray) -> np.ndarray:
-    """[episodes] int64 states per episode, from [rows] bool: True on the last row of each. The last row of
-    all ends an episode whether it is marked or not."""
-    ends = ends.copy()
-    ends[-1] = True
-    return np.diff(np.flatnonzero(ends), prepend=-1)
+    end_signs: tuple[EndSign, ...] = ()
+    warning: str | None = None
+    goal_indices: tuple[int, ...] | None = None

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from guider.data.minari import contains
+from guider.data.minari import with_goal_space
 from guider.data.store import Recording
-from guider.episodes import check_goal_indices
+from guider.episodes import EndSign
 from guider.errors import GuiderError
 
 # Names as NumPy 1 spells them; NumPy 2 says numpy._core.
@@ -74,13 +74,13 @@ def is_pickle(path: Path) -> bool:
     return len(head) == 2 and head[0] == 0x80 and 2 <= head[1] <= 5
 
 
-def read_wgcsl(path: Path, goal_indices: tuple[int, ...]) -> Recording:
+def read_wgcsl(path: Path, goal_indices: tuple[int, ...] | None) -> Recording:
     """Read o [episodes, T + 1, state], u [episodes, T, action], g [episodes, T, goal], ag [episodes, T + 1, goal]:
     states, actions, the goals aimed at and the goals achieved. Other entries are ignored.
 
     `ag` is put in front of the state where it is not among its entries, so that a goal space can always be named by
-    state entries; `g` is kept where `ag` is the goal space asked for. An episode's last goal stands for its last state
-    too. Raises GuiderError for anything but arrays of numbers in these shapes.
+    state entries; `g` is kept where `ag` is the goal space asked for, or none is. An episode's last goal stands for its
+    last state too. Raises GuiderError for anything but arrays of numbers in these shapes.
     """
 
     def fail(message: str) -> GuiderError:
@@ -103,16 +103,16 @@ def read_wgcsl(path: Path, goal_indices: tuple[int, ...]) -> Recording:
             raise fail(f"{key} has shape {array.shape}, but u {actions.shape} asks for {(episodes, rows)} rows")
     if goals.shape[2] != achieved.shape[2]:
         raise fail(f"g has {goals.shape[2]} columns but ag has {achieved.shape[2]}")
-    if not contains(states[0], achieved[0]):
-        states = np.concatenate([achieved, states], axis=2)
-    goal_indices = check_goal_indices(goal_indices, states.shape[2], str(path))
-    asked_for = states[:, :, list(goal_indices)]
-    keep_goals = asked_for.shape == achieved.shape and np.allclose(asked_for, achieved, atol=1e-5)
+    flat, own, kept = with_goal_space(
+        _flat(states), _flat(achieved), _flat(np.concatenate([goals, goals[:, -1:]], axis=1)), goal_indices, str(path)
+    )
     return Recording(
-        observations=_flat(states),
+        observations=flat,
         actions=_flat(np.concatenate([actions, np.zeros_like(actions[:, :1])], axis=1)),
         lengths=np.full(episodes, steps + 1),
-        goals=_flat(np.concatenate([goals, goals[:, -1:]], axis=1)) if keep_goals else None,
+        goals=kept,
+        end_signs=(EndSign("the arrays' first axis", episodes),),
+        goal_indices=own,
     )
 
 

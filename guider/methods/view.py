@@ -10,10 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.config import check_not_negative, check_positive
-from guider.episodes import Episodes, Spaces
+from guider.episodes import SMALLEST_SPREAD, Episodes, Spaces
 from guider.errors import GuiderError
+from guider.goals import largest_distance
 from guider.problem import Problem
 from guider.samplers import Boundary, Data, MoveWithin, device_data, window_starts
+
+_FINEST_STEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,68 @@ def learned_windows(view: ViewConfig, problem: Problem, episodes: Episodes) -> n
     return window_starts(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
 
 
+@dataclass(frozen=True)
+class Use:
+    """Which of the logged rows training draws from.
+
+    windows: of c steps, for what names subgoals; settings: those of the view that leave some out, by name and in words.
+    """
+
+    transitions: int
+    of_transitions: int
+    windows: int
+    of_windows: int
+    settings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        fraction = self.transitions / self.of_transitions
+        share = f"{self.transitions:,} of {self.of_transitions:,} transitions ({fraction:.0%})"
+        why = f"; left out by {', '.join(self.settings)}" if self.settings else ""
+        return f"{share} and {self.windows:,} of {self.of_windows:,} windows are learned from{why}"
+
+
+def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
+    """What share of the data training draws from, and why not from all."""
+    period, distance, within = problem.period_steps, view.minimum_move, view.move_within
+    used, every = (
+        (
+            len(window_starts(episodes, period, "clip", move, within)),
+            len(window_starts(episodes, period, view.boundary, move, within)),
+        )
+        for move in (distance, 0.0)
+    )
+    unclipped = len(window_starts(episodes, period, "clip"))
+    settings = []
+    if used != every:
+        where = f"{period} steps" if within == "period" else "their episode"
+        settings.append(f"view.minimum_move={distance:g} (rows whose goal entries move less within {where})")
+    if every[1] != unclipped:
+        settings.append(f"view.boundary={view.boundary} (windows of {period} steps that would leave their episode)")
+    return Use(used[0], every[0], used[1], unclipped, tuple(settings))
+
+
+def check_radius(problem: Problem, episodes: Episodes) -> None:
+    """Raise GuiderError where every goal would be met before a step is taken, or float32 cannot tell goals apart."""
+    achieved = episodes.achieved
+    first = np.repeat(achieved[episodes.starts], episodes.lengths, axis=0)
+    furthest = float(np.max(largest_distance(achieved, first, problem.goal_parts)))
+    if furthest <= problem.radius:
+        raise GuiderError(
+            f"{episodes.source}: no episode gets further than {furthest:.3g} from where it starts in goal space, so "
+            f"every goal is met within the radius {problem.radius:g} at once; choose a smaller radius (its unit is "
+            "that of the goal entries), or check which entries are the goal"
+        )
+    spacing = np.spacing(np.abs(achieved).max(axis=0))
+    if (coarse := spacing > _FINEST_STEP * problem.radius).any():
+        entry = int(np.argmax(coarse))
+        raise GuiderError(
+            f"{episodes.source}: goal entry {entry} lies around {achieved[0, entry]:.7g}, where float32, in which "
+            f"networks compute, tells apart only steps of {spacing[entry]:.2g}: too coarse for the radius "
+            f"{problem.radius:g}; "
+            "subtract an origin from these positions, and from goals, first"
+        )
+
+
 def unit_scale(view: ViewConfig, spaces: Spaces) -> Scale:
     """Raw inputs, and the shapes of any scale."""
     zeros, ones = jnp.zeros, jnp.ones
@@ -103,7 +168,7 @@ def unit_scale(view: ViewConfig, spaces: Spaces) -> Scale:
 def make_scale(episodes: Episodes, starts: np.ndarray, period_steps: int, waves: int, smallest_spread: float) -> Scale:
     """Scale from the data. starts: [W] rows that start a window of c = period_steps steps."""
     mean = episodes.observations.mean(axis=0, dtype=np.float64)
-    std = np.maximum(episodes.observations.std(axis=0, dtype=np.float64), 1e-3)
+    std = np.maximum(episodes.observations.std(axis=0, dtype=np.float64), SMALLEST_SPREAD)
     goal = list(episodes.goal_indices)
     std[goal] = np.maximum(std[goal], smallest_spread)
     achieved = episodes.achieved

@@ -3,7 +3,7 @@
 """D4RL's kitchen: four things to do within 280 steps, on Gymnasium-Robotics' FrankaKitchen-v1.
 
 A state is 30 positions, the robot's 9 joints and the objects' 21, which is all that D4RL's files and this simulation
-have in common (guider.data.d4rl.kitchen_states); the goal space is the objects' 21. An episode scores 25 for each of
+have in common (guider.data.kitchen.kitchen_states); the goal space is the objects' 21. An episode scores 25 for each of
 the task's four subtasks whose joints come within 0.3 of their goal at some step, alone and in any order.
 """
 
@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
-from guider.data.d4rl import kitchen_states
+from guider.data.kitchen import kitchen_states
 from guider.data.store import Recording
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium

@@ -1,0 +1,41 @@
+"""D4RL's kitchen files: observations, actions, terminals, sometimes timeouts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from guider.data.arrays import infos_goal
+from guider.data.ends import TERMINALS, TRUNCATIONS, find_ends
+from guider.data.store import Recording, Store
+from guider.episodes import check_goal_indices
+
+KITCHEN_ACTIONS = 9
+# A kitchen state is 30 numbers: joint positions of the robot (9) and of the objects (21). Other entries of rows that
+# are wider are left out: of 59 numbers, Gymnasium-Robotics' FrankaKitchen-v1, the velocities of both (D4RL records
+# none); of 60, D4RL, the goal.
+_KITCHEN_ENTRIES = {30: np.arange(30), 59: np.r_[0:9, 18:39], 60: np.arange(30)}
+KITCHEN_COLUMNS = tuple(_KITCHEN_ENTRIES)
+
+
+def read_kitchen(store: Store, goal_indices: tuple[int, ...], episode_ends: tuple[str, ...]) -> Recording:
+    """Episodes end at `terminals`, where the kitchen's are over, and at `timeouts`; jumps are not looked for, because a
+    switch that snaps over is one.
+
+    Rows of 59 or 60 numbers become states of 30, see kitchen_states. Of 60, the last 30 are the goal, recorded in
+    the same order, so goals are its entries `goal_indices`. Rows of any other width are states as they stand.
+    """
+    store.require("observations", "actions")
+    observations = store.matrix("observations")
+    flags = tuple(key for key in (*TERMINALS, *TRUNCATIONS) if key in store.keys)
+    ends = find_ends(store, observations, None, episode_ends or flags)
+    states = kitchen_states(observations) if observations.shape[1] in KITCHEN_COLUMNS else observations
+    goal_indices = check_goal_indices(goal_indices, states.shape[1], store.source)
+    has_goals = observations.shape[1] == 60
+    goals = observations[:, 30:][:, list(goal_indices)] if has_goals else infos_goal(store, len(goal_indices))
+    return Recording(states, store.matrix("actions"), ends.lengths, goals, end_signs=ends.signs, warning=ends.warning)
+
+
+def kitchen_states(rows: np.ndarray) -> np.ndarray:
+    """[..., 30, 59 or 60] rows of any kitchen's data -> [..., 30] states: positions of the robot's 9 joints (rad; m for
+    the fingers) and of the objects' 21 (rad or m; the kettle's are its position and quaternion)."""
+    return rows[..., _KITCHEN_ENTRIES[rows.shape[-1]]]
