@@ -14,6 +14,7 @@ from guider.data.describe import describe
 from guider.data.minari import dataset_directory, read_minari
 from guider.data.ogbench import read_ogbench
 from guider.data.plain import read_plain
+from guider.data.safety import check_path
 from guider.data.store import Recording, Store, describe_keys, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
 from guider.episodes import Episodes, make_episodes
@@ -72,8 +73,13 @@ def load(
 
 
 def _read(name: str, goal_indices: tuple[int, ...], format: str | None) -> Recording:
-    path = Path(name).expanduser()
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        raise GuiderError(f"{name}: there is no such user here; write the folder's whole path") from None
     is_id = name.startswith(MINARI_PREFIX)
+    if not is_id:
+        check_path(path)
     directory = None if is_id else dataset_directory(path)
     if is_id or directory is not None or format == "minari":
         if format not in (None, "minari"):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from guider.data.minari import contains
+from guider.data.safety import memory_fault
 from guider.data.store import Recording
 from guider.episodes import check_goal_indices
 from guider.errors import GuiderError
@@ -95,7 +96,7 @@ def read_wgcsl(path: Path, goal_indices: tuple[int, ...]) -> Recording:
     except _RefusedError as refused:
         raise fail(str(refused)) from None
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise fail(f"the pickle is damaged or cut off ({error})") from error
+        raise fail(f"the pickle is damaged or cut off ({' '.join(str(error).split())})") from error
 
     episodes, steps = actions.shape[:2]
     for key, array, rows in (("o", states, steps + 1), ("g", goals, steps), ("ag", achieved, steps + 1)):
@@ -226,6 +227,8 @@ def _array(notes: Any, key: str) -> np.ndarray:
         raise _RefusedError(f"{key} has {len(shape)} dimensions instead of [episodes, rows, columns]")
     if math.prod(shape) * kind.itemsize != len(buffer):
         raise _RefusedError(f"{key} declares shape {shape} but holds {len(buffer)} bytes")
+    if fault := memory_fault(key, 4 * math.prod(shape)):
+        raise _RefusedError(fault)
     array = np.frombuffer(buffer, kind).reshape(shape, order="F" if order == "F" else "C")
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(array.transpose(axes[0]) if axes else array, np.float32)
