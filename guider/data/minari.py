@@ -46,7 +46,7 @@ def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]
     except GuiderError:
         raise
     except Exception as error:  # whatever Minari raises on what others wrote
-        reason = " ".join(repr(error).split())
+        reason = " ".join(repr(error).split())[:200]
         raise GuiderError(f"{source}: the Minari dataset is damaged or cut off ({reason})") from error
 
 

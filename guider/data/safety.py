@@ -81,11 +81,10 @@ def memory_fault(name: str, size_bytes: int) -> str | None:
 
 
 def size_text(size_bytes: int) -> str:
-    for unit in ("bytes", "kB", "MB", "GB", "TB"):
-        if size_bytes < 1000 or unit == "TB":
-            break
-        size_bytes /= 1000  # pyright: ignore[reportAssignmentType]
-    return f"{size_bytes:.3g} {unit}"
+    for power, unit in enumerate(("bytes", "kB", "MB", "GB", "TB")):
+        if size_bytes < 1000 ** (power + 1):
+            return f"{size_bytes / 1000**power:.3g} {unit}"
+    return "over 1000 TB"
 
 
 def free_memory() -> int | None:
@@ -287,4 +286,5 @@ def _check_space(key: str, text: Any, fail: Any) -> None:
 
 
 def _shape_text(shape: tuple[int, ...]) -> str:
-    return f"{shape[:8]!r}" if len(shape) <= 8 else f"{shape[:8]!r} and {len(shape) - 8} more dimensions"
+    text = f"{shape[:8]!r:.200}"
+    return text if len(shape) <= 8 else f"{text} and {len(shape) - 8} more dimensions"

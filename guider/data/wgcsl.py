@@ -11,6 +11,7 @@ import math
 import mmap
 import pickletools
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,12 @@ def read_wgcsl(path: Path, goal_indices: tuple[int, ...]) -> Recording:
     if not is_pickle(path):
         raise fail("no such file, or not a pickle of protocol 2 to 5")
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        with (
+            warnings.catch_warnings(),
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+        ):
+            warnings.simplefilter("ignore")  # the interpreter's, about escapes in names
             notes = _walk(content)
         states, actions, goals, achieved = (_array(notes, key) for key in ("o", "u", "g", "ag"))
     except _RefusedError as refused:
