@@ -207,18 +207,37 @@ def refused(folder: Path, url: str, **limits) -> str:
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
-        ({"rate_s": 0.0, "least_rate": 1e12}, "it brings less than 1 TB a second"),
+        ({"rate_s": 0.5, "least_rate": 1e12}, "it brings less than 1 TB a second"),
         ({"most_s": 0.0}, "it takes longer than 0 s"),
     ],
 )
 def test_a_server_that_is_too_slow(site, folder, content, limits, reason):
-    site.replies = [silent_in_the_middle(site, content), ranges(content, '"1"')]
+    def trickle(handler: BaseHTTPRequestHandler) -> None:
+        cut(content, 50_000, ETag='"1"')(handler)
+        with contextlib.suppress(OSError):  # the other side is gone
+            for byte in content[50_000:]:
+                handler.wfile.write(bytes([byte]))
+                site.closing.wait(0.02)
+
+    site.replies = [trickle, ranges(content, '"1"')]
     message = refused(folder, site.url, **limits)
     assert reason in message and "what has arrived is kept" in message
     arrived = (folder / "logs.hdf5.part").stat().st_size
-    assert 0 < arrived <= 50_000 and len(site.requests) == 1
+    assert 0 < arrived < len(content) and len(site.requests) == 1
     fetch(dataset(site.url), folder, patience=PATIENCE)
     assert site.requests[1]["Range"] == f"bytes={arrived}-"
+    check_fetched(folder, content, site.url)
+
+
+def test_a_server_whose_headers_do_not_end(site, folder, content):
+    def trickle(handler: BaseHTTPRequestHandler) -> None:
+        with contextlib.suppress(OSError):  # the other side is gone
+            while not site.closing.wait(0.01):
+                handler.wfile.write(b"H")
+
+    site.replies = [trickle, whole(content)]
+    fetch(dataset(site.url), folder, patience=replace(PATIENCE, rate_s=0.2))
+    assert len(site.requests) == 2
     check_fetched(folder, content, site.url)
 
 

@@ -8,8 +8,10 @@ import json
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -41,7 +43,7 @@ class Patience:
     backoff_s:  pause after the first of these; each further pause is twice as long
     most_bytes: size of a file
     most_s:     time for a file from one place
-    least_rate: bytes a second, on average over any `rate_s` seconds
+    least_rate: bytes a second, on average over any `rate_s` seconds; an answer begins within that time
     """
 
     timeout_s: float = 20.0
@@ -194,7 +196,7 @@ def _attempt(url: str, part: Path, report: Report, patience: Patience, deadline:
             return
         if origin.validator is not None:
             headers = {"Range": f"bytes={done}-", "If-Range": origin.validator}
-    with _open(url, headers, part, patience.timeout_s) as response:
+    with _open(url, headers, part, patience) as response:
         resumed = response.status == 206
         served = _Origin(url, _validator(response.headers), _whole_size(response))
         if resumed and (served != origin or _first_byte(response) != done):
@@ -220,9 +222,9 @@ def _attempt(url: str, part: Path, report: Report, patience: Patience, deadline:
 
 
 @contextmanager
-def _open(url: str, headers: dict[str, str], part: Path, timeout_s: float) -> Iterator[HTTPResponse]:
+def _open(url: str, headers: dict[str, str], part: Path, patience: Patience) -> Iterator[HTTPResponse]:
     try:
-        response = urlopen(Request(url, headers=headers), timeout=timeout_s)
+        response = _answer(Request(url, headers=headers), patience)
     except HTTPError as error:
         error.close()
         if error.code == 416:  # the server has no byte where the part ends
@@ -236,6 +238,28 @@ def _open(url: str, headers: dict[str, str], part: Path, timeout_s: float) -> It
         raise _AttemptError(f"no answer ({error!r})") from None
     with response:
         yield response
+
+
+def _answer(request: Request, patience: Patience) -> HTTPResponse:
+    """What the server answers, without its body. Raises what urlopen does, and TimeoutError after `rate_s`: a server
+    that sends its headers byte by byte is in time for each of them."""
+    asked: Future[HTTPResponse] = Future()
+
+    def ask() -> None:
+        try:
+            response = urlopen(request, timeout=patience.timeout_s)
+        except Exception as error:
+            asked.set_exception(error)
+        else:
+            asked.set_result(response)
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return asked.result(patience.rate_s)
+    except TimeoutError:
+        if not asked.done():  # else it is urlopen's own
+            asked.add_done_callback(lambda late: late.exception() or late.result().close())
+        raise
 
 
 def _excess(size_bytes: int, most_bytes: int, fits_bytes: int) -> str | None:
