@@ -139,13 +139,13 @@ def test_that_process_has_limits(tmp_path, monkeypatch):
     worker = tmp_path / "worker.py"
     worker.write_text(
         f"import json, resource, runpy, signal\n"
-        f"runpy.run_path({hdf5_worker.__file__!r})['limit'](50_000_000)\n"
+        f"runpy.run_path({hdf5_worker.__file__!r})['limit'](20_000_000)\n"
         "limits = [resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_CPU, resource.RLIMIT_AS)]\n"
         "try: bytearray(3 << 30)\n"
         "except MemoryError: print(json.dumps({'refused': f'{limits} {signal.alarm(0)}'}))\n"
     )
     monkeypatch.setattr(safety, "_WORKER", worker)
-    assert refusal(write_hdf5(tmp_path / "a.hdf5", ARRAYS)).endswith(f"[20, {2 << 30}] 20")
+    assert refusal(write_hdf5(tmp_path / "a.hdf5", ARRAYS)).endswith(f"[30, {2 << 30}] 90")
 
 
 def test_large_arrays_are_read_in_places(tmp_path, monkeypatch):

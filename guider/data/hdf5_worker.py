@@ -3,9 +3,10 @@
 `python hdf5_worker.py FILE` prints one JSON object: {"arrays": [[name, shape, kind, itemsize, most_bytes], ...]}, or
 {"refused": reason}. It imports nothing of this package, which would take ten times as long as its own work.
 
-It walks the whole structure and reads 32 MiB spread over the file's arrays, which is all of a small file: the filters
-that unpack data are native code too. The rest of a large file is left to the reader, whom it would cost twice the time.
-Time is limited to 10 s and what a slow disk takes (5 MB/s), memory to 2 GiB.
+It walks the whole structure and reads 32 MiB spread over the file's arrays, or 512 arrays, all of a small file: the
+filters that unpack data are native code too. The rest of a large file is left to the reader, as reading it here as well
+would take twice the time. Memory is limited to 2 GiB, work to 10 s and one more for each MB of the file (an array takes
+up to 0.2 ms and at least a kB), and waiting to a minute more.
 """
 
 from __future__ import annotations
@@ -17,16 +18,18 @@ import resource
 import signal
 import sys
 from collections import deque
+from collections.abc import Iterator
 from typing import Any
 
 import h5py
 from h5py import h5d, h5g, h5l, h5o, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 _MEMORY_BYTES = 2 << 30
-_LEAST_SECONDS, _BYTES_PER_SECOND = 10, 5_000_000
+_LEAST_SECONDS, _MOST_SECONDS, _BYTES_PER_SECOND = 10, 600, 1_000_000
+_WAITING_SECONDS = 60
 _MOST_LINKS, _MOST_LEVELS = 1_000_000, 32
 _READ_BYTES, _BLOCKS = 32 << 20, 8
-_LEAST_SHARE_BYTES = 64 << 10
+_LEAST_SHARE_BYTES = 64 << 10  # of what is read, for each array; a smaller one counts as this much
 _LARGEST_CHUNK_BYTES = 256 << 20
 _DEFLATE_RATIO, _LZF_RATIO = 1032, 100  # the most that a byte of these can unpack to
 
@@ -37,9 +40,9 @@ class _RefusedError(Exception):
 
 def limit(file_bytes: int) -> None:
     """Whatever goes wrong from here on, this process ends soon and takes no memory that others need."""
-    seconds = _LEAST_SECONDS + file_bytes // _BYTES_PER_SECOND
+    seconds = min(_LEAST_SECONDS + file_bytes // _BYTES_PER_SECOND, _MOST_SECONDS)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(seconds)
+    signal.alarm(seconds + _WAITING_SECONDS)
     for kind, most in (
         (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_AS, _MEMORY_BYTES),
@@ -54,29 +57,32 @@ def limit(file_bytes: int) -> None:
 
 def look(path: str) -> list[list[Any]]:
     """[name, shape, kind, itemsize, most_bytes] of every array: NumPy's kind of number, bytes each, and the bytes that
-    the file can hold of it at the most, None where its compression sets no bound.
+    the file can hold of it at the most.
 
     Raises _RefusedError for a file that leads elsewhere, and whatever h5py raises for one that is damaged.
     """
     file_bytes = os.stat(path).st_size
+    left, arrays = _READ_BYTES, []
     with h5py.File(path, "r") as file:
-        datasets = _walk(file.id)
-        share = max(_LEAST_SHARE_BYTES, _READ_BYTES // max(len(datasets), 1))
-        left, arrays = _READ_BYTES, []
-        for name, dataset in datasets:
+        for name, dataset in _walk(file.id):
             shape, kind, itemsize = _declared(dataset)
-            chunk = _stored_in(name, dataset)
-            arrays.append([name, shape, kind, itemsize, _most_bytes(dataset, chunk, itemsize, file_bytes)])
-            if left > 0 and shape and 0 not in shape:
-                left -= _read_some(dataset, shape, kind, itemsize, math.prod(chunk) * itemsize, min(share, left))
+            chunk, filters = _layout(name, dataset.get_create_plist())
+            stored = min(dataset.get_storage_size(), file_bytes)
+            chunk_bytes = math.prod(chunk) * itemsize if chunk else 0
+            most = _most_bytes(dataset, stored, chunk_bytes, filters)
+            arrays.append([name, shape, kind, itemsize, most])
+            share = min(left, max(_LEAST_SHARE_BYTES, _READ_BYTES * stored // file_bytes))
+            # left out is what NumPy has no like for, and what asks for a filter that only the reader's process may have
+            if share > 0 and shape and 0 not in shape and kind != "V" and all(map(h5z.filter_avail, filters)):
+                left -= max(_read_some(dataset, shape, itemsize, chunk_bytes, share), _LEAST_SHARE_BYTES)
     return arrays
 
 
-def _walk(root: Any) -> list[tuple[str, Any]]:
+def _walk(root: Any) -> Iterator[tuple[str, Any]]:
     """(name, dataset) of every name a dataset has. A group is entered once, by the first of its names: hard links may
     make circles. Soft links lead on within the file only, and are followed after every link was seen to be none that
     leaves it."""
-    datasets, soft, links = [], [], 0
+    soft, links = [], 0
     seen, waiting = {h5o.get_info(root).addr}, deque([(root, "", 1)])
     while waiting:
         group, prefix, level = waiting.popleft()
@@ -99,15 +105,14 @@ def _walk(root: Any) -> list[tuple[str, Any]]:
                     seen.add(address)
                     waiting.append((item, f"{name}/", level + 1))
             elif hasattr(item, "get_space"):
-                datasets.append((name, item))
+                yield name, item
     for group, raw, name in soft:
         try:
             item = h5o.open(group, raw)
         except (KeyError, OSError, RuntimeError):  # it leads nowhere, or in a circle
             continue
         if hasattr(item, "get_space"):
-            datasets.append((name, item))
-    return datasets
+            yield name, item
 
 
 def _declared(dataset: Any) -> tuple[tuple[int, ...], str, int]:
@@ -122,28 +127,25 @@ def _declared(dataset: Any) -> tuple[tuple[int, ...], str, int]:
     return shape, dtype.kind, dtype.itemsize
 
 
-def _stored_in(name: str, dataset: Any) -> tuple[int, ...]:
-    """The shape of the chunks it lies in, () if it does not. Raises _RefusedError if it does not lie in this file."""
-    layout = dataset.get_create_plist()
-    if layout.get_layout() == h5d.VIRTUAL:
+def _layout(name: str, properties: Any) -> tuple[tuple[int, ...], list[int]]:
+    """The shape of the chunks it lies in, () for none, and the codes of their filters. Raises _RefusedError if it does
+    not lie in this file."""
+    layout = properties.get_layout()
+    if layout == h5d.VIRTUAL:
         raise _RefusedError(f"{_shown(name)} is made of arrays in other files, which are not read; copy the data")
-    if layout.get_external_count():
+    if properties.get_external_count():
         raise _RefusedError(f"{_shown(name)} lies in another file, which is not read; copy the data")
-    return layout.get_chunk() if layout.get_layout() == h5d.CHUNKED else ()
+    if layout != h5d.CHUNKED:
+        return (), []
+    return properties.get_chunk(), [properties.get_filter(i)[0] for i in range(properties.get_nfilters())]
 
 
-def _most_bytes(dataset: Any, chunk: tuple[int, ...], itemsize: int, file_bytes: int) -> int | None:
-    stored = min(dataset.get_storage_size(), file_bytes)
-    if not chunk:
+def _most_bytes(dataset: Any, stored: int, chunk_bytes: int, filters: list[int]) -> int:
+    if not chunk_bytes:
         return stored
-    in_chunks = dataset.get_num_chunks() * math.prod(chunk) * itemsize
-    ratio = math.prod(_ratio(code) for code in _filters(dataset))
+    in_chunks = dataset.get_num_chunks() * chunk_bytes
+    ratio = math.prod(map(_ratio, filters))
     return in_chunks if ratio == math.inf else min(in_chunks, stored * int(ratio))
-
-
-def _filters(dataset: Any) -> list[int]:
-    layout = dataset.get_create_plist()
-    return [layout.get_filter(i)[0] for i in range(layout.get_nfilters())]
 
 
 def _ratio(code: int) -> float:
@@ -152,16 +154,11 @@ def _ratio(code: int) -> float:
     return {h5z.FILTER_DEFLATE: _DEFLATE_RATIO, h5z.FILTER_LZF: _LZF_RATIO}.get(code, math.inf)
 
 
-def _read_some(
-    dataset: Any, shape: tuple[int, ...], kind: str, itemsize: int, chunk_bytes: int, share_bytes: int
-) -> int:
+def _read_some(dataset: Any, shape: tuple[int, ...], itemsize: int, chunk_bytes: int, share_bytes: int) -> int:
     """Read blocks of rows spread over the array, about `share_bytes` of it, or all if it has no more; returns how many
-    bytes that were. Left out is what NumPy has no like for, and what asks for a filter that only the reader's process
-    may have."""
+    bytes that were."""
     row_bytes = math.prod(shape[1:]) * itemsize
-    if kind == "V" or max(chunk_bytes, row_bytes) > _LARGEST_CHUNK_BYTES:
-        return 0
-    if not all(map(h5z.filter_avail, _filters(dataset))):
+    if max(chunk_bytes, row_bytes) > _LARGEST_CHUNK_BYTES:
         return 0
     block_rows = max(1, max(share_bytes // _BLOCKS, chunk_bytes) // row_bytes)
     blocks = -(-shape[0] // block_rows)

@@ -44,13 +44,13 @@ class Declared:
     """What a file says of one array.
 
     shape, kind, itemsize: () for a single number; NumPy's kind of number; bytes of each
-    most_bytes:            what the file can hold of it; None where its compression sets no bound
+    most_bytes:            what the file can hold of it
     """
 
     shape: tuple[int, ...]
     kind: str
     itemsize: int
-    most_bytes: int | None
+    most_bytes: int
 
     @property
     def declared_bytes(self) -> int:
@@ -65,7 +65,7 @@ class Declared:
 def size_fault(name: str, arrays: list[Declared]) -> str | None:
     """Why `arrays`, taken together, cannot be what they declare: it is more than the file can hold."""
     declared = sum(array.declared_bytes for array in arrays)
-    held = sum(array.declared_bytes if array.most_bytes is None else array.most_bytes for array in arrays)
+    held = sum(array.most_bytes for array in arrays)
     if declared <= held + _UNWRITTEN_BYTES:
         return None
     shape = f" of shape {_shape_text(arrays[0].shape)}" if len(arrays) == 1 else ""
