@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -401,6 +402,15 @@ def test_names_that_cannot_be(tmp_path, monkeypatch):
     assert "no such user" in refusal("~nobody-of-this-name/a.npz")
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may read everything
     assert "Permission denied" in refusal(path)
+
+
+def test_a_disk_that_fails(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    path = write_npz(tmp_path / "a.npz", ARRAYS)
+    monkeypatch.setattr(Path, "open", fail)
+    assert "cannot be read (Input/output error)" in refusal(path)
 
 
 # Minari

@@ -132,9 +132,12 @@ def open_store(path: Path) -> Iterator[Store]:
     file_bytes = path.stat().st_size
     if not file_bytes:
         raise GuiderError(f"{path}: the file is empty")
-    with path.open("rb") as file:
-        is_npz = file.read(2) == b"PK"
-        is_hdf5 = not is_npz and _has_hdf5_signature(file, file_bytes)
+    try:
+        with path.open("rb") as file:
+            is_npz = file.read(2) == b"PK"
+            is_hdf5 = not is_npz and _has_hdf5_signature(file, file_bytes)
+    except OSError as error:
+        raise GuiderError(f"{path}: cannot be read ({error.strerror})") from error
     if not is_npz and not is_hdf5:
         raise GuiderError(f"{path}: neither an HDF5 file nor an npz archive")
     arrays = {} if is_npz else look_into_hdf5(path)

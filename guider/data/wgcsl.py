@@ -101,7 +101,7 @@ def read_wgcsl(path: Path, goal_indices: tuple[int, ...]) -> Recording:
         states, actions, goals, achieved = (_array(notes, key) for key in ("o", "u", "g", "ag"))
     except _RefusedError as refused:
         raise fail(str(refused)) from None
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise fail(f"the pickle is damaged or cut off ({' '.join(str(error).split())})") from error
 
     episodes, steps = actions.shape[:2]
