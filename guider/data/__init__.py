@@ -14,6 +14,7 @@ from guider.data.catalogue import MINARI_PREFIX
 from guider.data.describe import describe
 from guider.data.kitchen import KITCHEN_ACTIONS, KITCHEN_COLUMNS, kitchen_states, read_kitchen
 from guider.data.minari import dataset_directory, read_minari
+from guider.data.safety import check_path
 from guider.data.store import Recording, Store, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
 from guider.episodes import Episodes, make_episodes
@@ -85,6 +86,8 @@ def _read(
 ) -> Recording:
     path = user_path(name)
     is_id = name.startswith(MINARI_PREFIX)
+    if not is_id:
+        check_path(path)
     directory = None if is_id else dataset_directory(path)
     if is_id or directory is not None or format == "minari":
         if format not in (None, "minari"):

@@ -6,9 +6,12 @@ import fcntl
 import hashlib
 import json
 import os
+import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -20,6 +23,7 @@ from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
 from guider.data.catalogue import MINARI_PREFIX, Dataset, RemoteFile
+from guider.data.safety import check_minari, size_text
 from guider.data.store import open_store
 from guider.errors import GuiderError
 
@@ -32,16 +36,23 @@ _BUSY = (408, 429, 500, 502, 503, 504)
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a server is waited for.
+    """How much is borne of a server. Past a limit what has arrived is kept, and the next fetch goes on from there.
 
-    timeout_s: for a connection, and for its next bytes
-    attempts:  how many in a row may bring nothing new
-    backoff_s: pause after the first of these; each further pause is twice as long
+    timeout_s:  for a connection, and for its next bytes
+    attempts:   how many in a row may bring nothing new
+    backoff_s:  pause after the first of these; each further pause is twice as long
+    most_bytes: size of a file
+    most_s:     time for a file from one place
+    least_rate: bytes a second, on average over any `rate_s` seconds; an answer begins within that time
     """
 
     timeout_s: float = 20.0
     attempts: int = 4
     backoff_s: float = 1.0
+    most_bytes: int = 200_000_000_000
+    most_s: float = 24 * 3600.0
+    least_rate: float = 1000.0
+    rate_s: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +110,13 @@ def fetch(
     if mirror is not None and not mirror.startswith(("http://", "https://")):
         raise GuiderError(f"--mirror must be the http or https URL of a folder, not {mirror!r}")
     directory = cache_directory() if directory is None else directory.expanduser()
-    return [_fetch_file(file, directory, mirror, report, patience) for file in dataset.files]
+    try:
+        return [_fetch_file(file, directory, mirror, report, patience) for file in dataset.files]
+    except OSError as error:  # the network's are told apart where they happen
+        raise GuiderError(
+            f"{error.filename or directory}: cannot be written or read ({error.strerror or error}); mend that or name "
+            "another folder with --out, and fetch again: what has arrived is kept"
+        ) from error
 
 
 def _fetch_file(file: RemoteFile, directory: Path, mirror: str | None, report: Report, patience: Patience) -> Path:
@@ -154,19 +171,21 @@ def _sha256(path: Path) -> str:
 
 def _download(url: str, part: Path, report: Report, patience: Patience) -> None:
     """Bring `part` to the whole of `url`. Raises _PlaceError when that does not work."""
-    most, idle = _size(part), 0
+    most, idle, deadline = _size(part), 0, time.monotonic() + patience.most_s
     while True:
         try:
-            return _attempt(url, part, report, patience.timeout_s)
+            return _attempt(url, part, report, patience, deadline)
         except _AttemptError as interrupted:
             idle = 0 if _size(part) > most else idle + 1
             most = max(most, _size(part))
             if idle == patience.attempts:
                 raise _PlaceError(str(interrupted)) from None
+            if time.monotonic() > deadline:
+                raise _PlaceError(f"it takes longer than {patience.most_s:g} s ({interrupted})") from None
             time.sleep(patience.backoff_s * 2 ** max(idle - 1, 0))
 
 
-def _attempt(url: str, part: Path, report: Report, timeout_s: float) -> None:
+def _attempt(url: str, part: Path, report: Report, patience: Patience, deadline: float) -> None:
     """One request. It asks only for what `part` lacks, if that is known to be of the same version of the file."""
     origin_file = _beside(part, ".json")
     origin = _read_origin(origin_file)
@@ -177,18 +196,24 @@ def _attempt(url: str, part: Path, report: Report, timeout_s: float) -> None:
             return
         if origin.validator is not None:
             headers = {"Range": f"bytes={done}-", "If-Range": origin.validator}
-    with _open(url, headers, part, timeout_s) as response:
+    with _open(url, headers, part, patience) as response:
         resumed = response.status == 206
         served = _Origin(url, _validator(response.headers), _whole_size(response))
         if resumed and (served != origin or _first_byte(response) != done):
             _discard(part)
             raise _AttemptError("the file changed while it was fetched")
+        fits = shutil.disk_usage(part.parent).free + _size(part)
+        if fault := _excess(served.size_bytes or 0, patience.most_bytes, fits):
+            raise _PlaceError(fault)
+        done = done if resumed else 0
         with part.open("ab" if resumed else "wb") as file:
             if not resumed:
-                done = 0
                 _write_json(origin_file, asdict(served))
             report(done, served.size_bytes)
-            for chunk in _chunks(response):
+            for chunk in _chunks(response, patience, deadline):
+                if fault := _excess(done + len(chunk), patience.most_bytes, fits):
+                    _discard(part)  # no end was declared, so that nothing says how much is lacking
+                    raise _PlaceError(fault)
                 file.write(chunk)
                 done += len(chunk)
                 report(done, served.size_bytes)
@@ -197,9 +222,9 @@ def _attempt(url: str, part: Path, report: Report, timeout_s: float) -> None:
 
 
 @contextmanager
-def _open(url: str, headers: dict[str, str], part: Path, timeout_s: float) -> Iterator[HTTPResponse]:
+def _open(url: str, headers: dict[str, str], part: Path, patience: Patience) -> Iterator[HTTPResponse]:
     try:
-        response = urlopen(Request(url, headers=headers), timeout=timeout_s)
+        response = _answer(Request(url, headers=headers), patience)
     except HTTPError as error:
         error.close()
         if error.code == 416:  # the server has no byte where the part ends
@@ -215,7 +240,39 @@ def _open(url: str, headers: dict[str, str], part: Path, timeout_s: float) -> It
         yield response
 
 
-def _chunks(response: HTTPResponse) -> Iterator[bytes]:
+def _answer(request: Request, patience: Patience) -> HTTPResponse:
+    """What the server answers, without its body. Raises what urlopen does, and TimeoutError after `rate_s`: a server
+    that sends its headers byte by byte is in time for each of them."""
+    asked: Future[HTTPResponse] = Future()
+
+    def ask() -> None:
+        try:
+            response = urlopen(request, timeout=patience.timeout_s)
+        except Exception as error:
+            asked.set_exception(error)
+        else:
+            asked.set_result(response)
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return asked.result(patience.rate_s)
+    except TimeoutError:
+        if not asked.done():  # else it is urlopen's own
+            asked.add_done_callback(lambda late: late.exception() or late.result().close())
+        raise
+
+
+def _excess(size_bytes: int, most_bytes: int, fits_bytes: int) -> str | None:
+    """Which limit a file of this size is over, if any."""
+    if size_bytes > most_bytes:
+        return f"it is larger than {size_text(most_bytes)}, the limit"
+    if size_bytes > fits_bytes:
+        return f"it is larger than {size_text(fits_bytes)}, all that the disk has room for: make room or name --out"
+    return None
+
+
+def _chunks(response: HTTPResponse, patience: Patience, deadline: float) -> Iterator[bytes]:
+    since, brought = time.monotonic(), 0
     while True:
         try:
             chunk = response.read1(_CHUNK_BYTES)
@@ -224,6 +281,14 @@ def _chunks(response: HTTPResponse) -> Iterator[bytes]:
         if not chunk:
             return
         yield chunk
+        now = time.monotonic()
+        brought += len(chunk)
+        if now > deadline:
+            raise _PlaceError(f"it takes longer than {patience.most_s:g} s")
+        if now - since > patience.rate_s:
+            if brought < patience.least_rate * (now - since):
+                raise _PlaceError(f"it brings less than {size_text(int(patience.least_rate))} a second")
+            since, brought = now, 0
 
 
 def _validator(headers: Message) -> str | None:
@@ -274,6 +339,7 @@ def _fetch_minari(dataset_id: str) -> Path:
         if not directory.exists():
             with redirect_stdout(sys.stderr):
                 minari.download_dataset(dataset_id)
+        check_minari(dataset_id, directory / "data")
         dataset = minari.load_dataset(dataset_id)
         next(iter(dataset.iterate_episodes([len(dataset) - 1])))
     except Exception as error:  # whatever the storage behind Minari raises

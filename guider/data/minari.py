@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from guider.data.safety import MAIN_FILE, METADATA_FILE, check_minari
 from guider.data.store import Recording
 from guider.episodes import EndSign, check_goal_indices
 from guider.errors import GuiderError
 from guider.goals import goal_entries
-
-MAIN_FILE = "main_data.hdf5"
 
 
 def dataset_directory(path: Path) -> Path | None:
@@ -22,7 +21,7 @@ def dataset_directory(path: Path) -> Path | None:
     if path.name == MAIN_FILE:
         path = path.parent
     for directory in (path / "data", path):
-        if (directory / MAIN_FILE).is_file() and (directory / "metadata.json").is_file():
+        if (directory / MAIN_FILE).is_file() and (directory / METADATA_FILE).is_file():
             return directory
     return None
 
@@ -39,21 +38,28 @@ def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]
     Raises GuiderError for a dataset that is not on this machine, is damaged, or whose states or actions are not
     vectors.
     """
-    import minari  # takes a while, and other sources do without
-    from minari import MinariDataset
+    directory = _installed(source, location) if isinstance(location, str) else location
+    check_minari(source, directory)
+    from minari import MinariDataset  # takes a while, and other sources do without
 
     try:
-        dataset = minari.load_dataset(location) if isinstance(location, str) else MinariDataset(location)
-    except FileNotFoundError as error:
+        return _gather(MinariDataset(directory), source, goal_indices)
+    except GuiderError:
+        raise
+    except Exception as error:  # whatever Minari raises on what others wrote
+        reason = " ".join(repr(error).split())[:200]
+        raise GuiderError(f"{source}: the Minari dataset is damaged or cut off ({reason})") from error
+
+
+def _installed(source: str, dataset_id: str) -> Path:
+    from minari.storage.datasets_root_dir import get_dataset_path
+
+    directory = get_dataset_path(dataset_id) / "data"
+    if dataset_directory(directory) is None:
         raise GuiderError(
-            f"{source}: no such Minari dataset on this machine; fetch it with: guider data fetch minari:{location}"
-        ) from error
-    except Exception as error:
-        raise GuiderError(f"{source}: cannot be read as a Minari dataset ({error})") from error
-    try:
-        return _gather(dataset, source, goal_indices)
-    except (OSError, KeyError, ValueError, AssertionError) as error:
-        raise GuiderError(f"{source}: the Minari dataset is damaged or cut off ({error!r})") from error
+            f"{source}: no such Minari dataset on this machine; fetch it with: guider data fetch minari:{dataset_id}"
+        )
+    return directory
 
 
 def _gather(dataset: Any, source: str, goal_indices: tuple[int, ...] | None) -> Recording:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import h5py
 import numpy as np
 
+from guider.data.safety import Declared, check_path, look_into_hdf5, look_into_npz, memory_fault, size_fault
 from guider.episodes import EndSign, to_float32
 from guider.errors import GuiderError
 
-_DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, zlib.error, zipfile.BadZipFile)
+_DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True)
@@ -24,13 +26,18 @@ class Store:
 
     source: the file's path, for messages
     kind:   "HDF5" or "npz"
-    keys:   names of the arrays in it; a group's are joined by '/', as in 'infos/goal'
+    arrays: what it declares of each by name, None for what is no array; a group's name and those of its arrays are
+            joined by '/', as in 'infos/goal'
     """
 
     source: str
     kind: str
-    keys: tuple[str, ...]
+    arrays: Mapping[str, Declared | None]
     file: h5py.File | np.lib.npyio.NpzFile
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(self.arrays)
 
     def fail(self, message: str) -> GuiderError:
         """The error to raise, with the file's name in front."""
@@ -44,15 +51,28 @@ class Store:
 
     def width(self, key: str) -> int:
         """Columns of a 2-D array; 0 if it has another shape."""
-        try:
-            shape = self.file[key].shape  # pyright: ignore[reportAttributeAccessIssue]
-        except _DAMAGED as error:
-            raise self._unreadable(key, error) from error
-        return shape[1] if len(shape) == 2 else 0
+        array = self.arrays[key]
+        return array.shape[1] if array is not None and len(array.shape) == 2 else 0
+
+    def admit(self, key: str) -> None:
+        """Raise unless the array is present and can be read: numbers, as many as the file and free memory can hold."""
+        self.require(key)
+        array = self.arrays[key]
+        if array is None:
+            raise self.fail(f"{key} is not an array that NumPy saved")
+        if array.kind == "O":
+            raise self.fail(
+                f"{key} holds Python objects, which are never unpickled because that can run code; "
+                "save it as an array of numbers"
+                if self.kind == "npz"
+                else f"{key} holds text or lists; save it as an array of numbers"
+            )
+        if fault := size_fault(key, [array]) or memory_fault(key, array.float_bytes):
+            raise self.fail(fault)
 
     def matrix(self, key: str) -> np.ndarray:
         """[rows, columns] float32, at least one of each. HDF5 is converted a block at a time: no second copy."""
-        self.require(key)
+        self.admit(key)
         try:
             array = self.file[key]
             shape, dtype = array.shape, array.dtype  # pyright: ignore[reportAttributeAccessIssue]
@@ -64,7 +84,7 @@ class Store:
 
     def vector(self, key: str) -> np.ndarray:
         """[entries] of numbers or booleans, in the file's own type; a single number is one entry."""
-        self.require(key)
+        self.admit(key)
         try:
             array = np.asarray(self.file[key][()])  # pyright: ignore[reportIndexIssue]
         except _DAMAGED as error:
@@ -87,29 +107,20 @@ class Store:
 
     def column(self, key: str, rows: int) -> np.ndarray | None:
         """[rows] numbers, None where there is no such array or it is something else."""
-        if key not in self.keys:
-            return None
-        try:
-            array = self.file[key]
-            size, kind = array.size, array.dtype.kind  # pyright: ignore[reportAttributeAccessIssue]
-        except _DAMAGED as error:
-            raise self._unreadable(key, error) from error
-        return self.vector(key) if size == rows and kind in "fiub" and len(array.shape) in (1, 2) else None  # pyright: ignore
+        array = self.arrays.get(key)
+        fits = array is not None and array.kind in "fiub" and array.shape in ((rows,), (rows, 1))
+        return self.vector(key) if fits else None
 
     def _unreadable(self, key: str, error: Exception) -> GuiderError:
-        if "allow_pickle" in str(error):
-            return self.fail(
-                f"{key} holds Python objects, which are never unpickled because that can run code; "
-                "save it as an array of numbers"
-            )
-        return self.fail(f"cannot read {key}: the file is damaged or cut off ({error})")
+        return self.fail(f"cannot read {key}: the file is damaged or cut off ({_in_a_line(error)})")
 
 
 def describe_keys(keys: tuple[str, ...]) -> str:
     """The names found in a file, shortened, for an error message."""
     if not keys:
         return "no arrays"
-    return ", ".join(keys[:12]) + (f" and {len(keys) - 12} more" if len(keys) > 12 else "")
+    names = (key if key.isprintable() else ascii(key) for key in keys[:12])
+    return ", ".join(f"{name:.60}" for name in names) + (f" and {len(keys) - 12} more" if len(keys) > 12 else "")
 
 
 @contextmanager
@@ -119,42 +130,50 @@ def open_store(path: Path) -> Iterator[Store]:
     npz is read without pickle: object arrays are refused. Raises GuiderError if the path does not exist, is
     neither kind of file, or is cut off.
     """
-    if not path.is_file():
-        raise GuiderError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+    check_path(path)
+    if path.is_dir():
+        raise GuiderError(f"{path}: not a file")
+    file_bytes = path.stat().st_size
+    if not file_bytes:
+        raise GuiderError(f"{path}: the file is empty")
     try:
         with path.open("rb") as file:
-            head = file.read(8)
+            is_npz = file.read(2) == b"PK"
+            is_hdf5 = not is_npz and _has_hdf5_signature(file, file_bytes)
     except OSError as error:
         raise GuiderError(f"{path}: cannot be read ({error.strerror})") from error
-    if not head:
-        raise GuiderError(f"{path}: the file is empty")
-    is_npz = head[:2] == b"PK"
-    if not is_npz and not h5py.is_hdf5(path):
+    if not is_npz and not is_hdf5:
         raise GuiderError(f"{path}: neither an HDF5 file nor an npz archive")
+    arrays = {} if is_npz else look_into_hdf5(path)
     with ExitStack() as opened:
         try:
             if is_npz:
                 # np.load leaves a file it opened itself open where the archive is damaged
                 raw = opened.enter_context(path.open("rb"))
                 file = opened.enter_context(np.load(raw, allow_pickle=False))
-                store = Store(str(path), "npz", tuple(file.files), file)
+                store = Store(str(path), "npz", look_into_npz(file.zip, file_bytes), file)
             else:
-                file = opened.enter_context(h5py.File(path, "r"))
-                store = Store(str(path), "HDF5", _hdf5_keys(file), file)
+                store = Store(str(path), "HDF5", arrays, opened.enter_context(h5py.File(path, "r")))
+        except GuiderError as refused:
+            raise GuiderError(f"{path}: {refused}") from None
         except _DAMAGED as error:
-            raise GuiderError(f"{path}: the file is damaged or cut off ({error})") from error
+            raise GuiderError(f"{path}: the file is damaged or cut off ({_in_a_line(error)})") from error
         yield store
 
 
-def _hdf5_keys(file: h5py.File) -> tuple[str, ...]:
-    keys: list[str] = []
+def _has_hdf5_signature(file: BinaryIO, file_bytes: int) -> bool:
+    """HDF5 begins at byte 0, 512, or any further double of that: a user's own block may come first."""
+    start = 0
+    while start < file_bytes:
+        file.seek(start)
+        if file.read(8) == b"\x89HDF\r\n\x1a\n":
+            return True
+        start = max(512, 2 * start)
+    return False
 
-    def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            keys.append(name)
 
-    file.visititems(visit)
-    return tuple(keys)
+def _in_a_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import math
 import mmap
 import pickletools
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from guider.data.minari import with_goal_space
+from guider.data.safety import memory_fault
 from guider.data.store import Recording
 from guider.episodes import EndSign
 from guider.errors import GuiderError
@@ -89,13 +91,18 @@ def read_wgcsl(path: Path, goal_indices: tuple[int, ...] | None) -> Recording:
     if not is_pickle(path):
         raise fail("no such file, or not a pickle of protocol 2 to 5")
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        with (
+            warnings.catch_warnings(),
+            path.open("rb") as file,
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+        ):
+            warnings.simplefilter("ignore")  # the interpreter's, about escapes in names
             notes = _walk(content)
         states, actions, goals, achieved = (_array(notes, key) for key in ("o", "u", "g", "ag"))
     except _RefusedError as refused:
         raise fail(str(refused)) from None
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise fail(f"the pickle is damaged or cut off ({error})") from error
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise fail(f"the pickle is damaged or cut off ({' '.join(str(error).split())})") from error
 
     episodes, steps = actions.shape[:2]
     for key, array, rows in (("o", states, steps + 1), ("g", goals, steps), ("ag", achieved, steps + 1)):
@@ -226,6 +233,8 @@ def _array(notes: Any, key: str) -> np.ndarray:
         raise _RefusedError(f"{key} has {len(shape)} dimensions instead of [episodes, rows, columns]")
     if math.prod(shape) * kind.itemsize != len(buffer):
         raise _RefusedError(f"{key} declares shape {shape} but holds {len(buffer)} bytes")
+    if fault := memory_fault(key, 4 * math.prod(shape)):
+        raise _RefusedError(fault)
     array = np.frombuffer(buffer, kind).reshape(shape, order="F" if order == "F" else "C")
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(array.transpose(axes[0]) if axes else array, np.float32)
