@@ -17,13 +17,13 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium import spaces
 
 from guider.errors import GuiderError
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation
 from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task
 
