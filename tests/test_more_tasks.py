@@ -14,6 +14,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.envs import registration
 
+from guider.data.catalogue import CATALOGUE, find_dataset
 from guider.data.write import write_d4rl
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
@@ -29,6 +30,14 @@ def test_tasks_are_listed_without_loading_their_simulators():
     code = f"import sys, guider.tasks; print([name for name in {heavy} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("find, names", [(find_task, TASKS), (find_dataset, CATALOGUE)])
+def test_a_name_that_is_none_is_answered_by_those_like_it_or_a_few(find, names):
+    with pytest.raises(GuiderError, match=r"'antmaze-large-diverze'; did you mean antmaze-large-diverse"):
+        find("antmaze-large-diverze")
+    with pytest.raises(GuiderError, match=rf"'zzz'; there are {next(iter(names))}, .* and {len(names) - 12} more \("):
+        find("zzz")
 
 
 def roll(task: Task, seeds: np.ndarray, steps: int) -> tuple[Episodes, np.ndarray]:
