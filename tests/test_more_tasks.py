@@ -12,7 +12,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.envs import registration
 
 from guider.data.catalogue import CATALOGUE, find_dataset
 from guider.data.write import write_d4rl
@@ -199,11 +198,13 @@ def make_toy(**options: float) -> gymnasium.Env:
 
 
 @pytest.fixture
-def toys(monkeypatch):
-    monkeypatch.setattr(registration, "registry", dict(gymnasium.registry))
+def toys():
     gymnasium.register("Toy-v0", make_toy, max_episode_steps=200)
     gymnasium.register("ScaledToy-v0", make_toy, max_episode_steps=200, kwargs={"scale": 2.0})
     gymnasium.register("EndlessToy-v0", make_toy)
+    yield
+    for name in ("Toy-v0", "ScaledToy-v0", "EndlessToy-v0"):
+        del gymnasium.registry[name]
 
 
 def test_goal_entries_are_found_in_the_state(toys):
