@@ -251,7 +251,7 @@ def test_legends_name_what_is_drawn_alone():
 def test_a_goal_space_too_wide_to_show_says_so():
     figure = drawn(plots.subgoals_on_logs(logs(4), logs(4), "training", make_policy(4), TITLE))
     assert "goal entries" not in title_of(figure)
-    wide = make_episodes(np.random.default_rng(0).normal(size=(42, 5)), np.zeros((42, 2)), [21, 21], range(5))
+    wide = make_episodes(np.random.default_rng(0).normal(size=(42, 5)), np.zeros((42, 2)), [21, 21], tuple(range(5)))
     figure = drawn(plots.subgoals_on_logs(wide, wide, "training", policy_for(wide), TITLE))
     assert "along training episodes" in title_of(figure) and "; the 4 most varied of 5 goal entries" in title_of(figure)
     assert figure.axes[0].get_title() == "training episode 0"
@@ -304,6 +304,16 @@ def test_curves_have_the_units_of_their_settings():
     assert labels["divergence"] == "log density of policy"
     names = [axes.get_title() for axes in plots.learning_curves(METRICS, TITLE, labels).axes]
     assert names[0] == labels["squared_error"]
+
+
+@pytest.mark.parametrize("name", ["\udcff.npz", "日本.npz", "$x$_{.npz", "x\ny"])
+def test_data_of_any_name_has_a_picture(tmp_path, name):
+    canvas.save(canvas.new_figure(name, (2, 2)), tmp_path / "picture.png")
+
+
+def test_a_single_point_is_seen():
+    for line in plots.learning_curves(METRICS[:1], TITLE).axes[0].lines:
+        assert line.get_marker() == "o" and len(points(line)) == 1
 
 
 def test_one_seed_has_no_deviation():

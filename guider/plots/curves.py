@@ -54,7 +54,7 @@ def learning_curves(lines: Sequence[dict[str, Any]], title: str, labels: dict[st
         updates = [line["update"] for line in chosen]
         for axes, name in zip(row, names, strict=False):
             values = np.array([line["metrics"][name] for line in chosen])
-            _seed_lines(axes, updates, values)
+            _seed_lines(axes, updates, values, "-" if len(updates) > 1 else "o")
             axes.set_title(labels.get(name, name.replace("_", " ")), fontsize=9)
             if name in LOGARITHMIC and (values > 0).all():
                 axes.set_yscale("log")
@@ -94,10 +94,10 @@ def _main_metrics(metrics: dict[str, Any]) -> list[str]:
     return ranked[:METRICS_SHOWN]
 
 
-def _seed_lines(axes: Axes, updates: Sequence[int], values: np.ndarray, style: str = "-") -> None:
+def _seed_lines(axes: Axes, updates: Sequence[int], values: np.ndarray, style: str) -> None:
     """values: [points, seeds]."""
     if values.shape[1] > 1:
-        axes.plot(updates, values, color=canvas.BLUE, linewidth=0.7, alpha=0.4)
+        axes.plot(updates, values, style, color=canvas.BLUE, linewidth=0.7, markersize=2, alpha=0.4)
     axes.plot(updates, values.mean(axis=1), style, color=canvas.BLUE, linewidth=1.8, markersize=4)
     axes.grid(color=canvas.GRID, linewidth=0.6)
     axes.tick_params(labelsize=8, which="both")
