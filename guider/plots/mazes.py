@@ -130,7 +130,7 @@ def reachable_in_maze(maze: Maze, logged: Episodes, policy: Policy, positions: n
         [
             canvas.logged_handle(),
             canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded"),
-            canvas.dot_handle(canvas.BLUE, f"{period} steps after moves logged from here"),
+            canvas.dot_handle(canvas.BLUE, f"logged {period} steps later, in the windows learned from"),
             Line2D([], [], marker="P", color=canvas.DARK, linestyle="", label="here"),
         ],
     )
