@@ -378,3 +378,14 @@ def test_a_run_on_logs_is_drawn_without_a_task(tmp_path):
     run = make_run(tmp_path, episodes, None, make_policy(2))
     paths = plots.draw_run(run, None, episodes, 3, 1000)
     assert [path.name for path in paths] == ["learning.png", "scores.png", "subgoals-seed3.png"]
+
+
+@pytest.mark.parametrize("held_out, kind, count", [(0.4, "held-out", 2), (0.0, "training", 6)])
+def test_episodes_are_called_held_out_where_they_were(tmp_path, monkeypatch, held_out, kind, count):
+    asked = []
+    monkeypatch.setattr(plots, "subgoals_on_logs", lambda *arguments: asked.append(arguments) or Figure())
+    run = make_run(tmp_path, logs(2), None, make_policy(2))
+    run.spec = replace(run.spec, held_out=held_out)  # pyright: ignore[reportAttributeAccessIssue]
+    plots.draw_run(run, None, logs(2), 3, 1000)
+    [(_, shown, said, *_)] = asked
+    assert (said, len(shown.starts)) == (kind, count)
