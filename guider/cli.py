@@ -295,26 +295,24 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
 
     Args:
         task: A task whose data `guider tasks` says can be collected.
-        out: New file laid out as D4RL's if it is called .hdf5, else the new directory of a Minari dataset.
+        out: New file laid out as D4RL's (.hdf5 or .h5), or, with no ending, new directory of a Minari dataset.
         steps: Rows to record; by default as many as the task's data has in the literature.
         seed: Equal seeds give equal files.
         as_json: Print one JSON document instead of text.
     """
-    from guider.data.write import write_d4rl, write_minari
+    from guider.data.write import check_destination, write_d4rl, write_minari
     from guider.tasks import find_task
 
     found = find_task(task)
     if found.collector is None:
         raise GuiderError(f"{task} cannot be collected here; its data comes from files ({found.source}): --data FILE")
     steps = found.collector.steps if steps is None else steps
-    if out.exists():
-        raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
     if steps < 2 or seed < 0:
         raise GuiderError(f"--steps must be at least 2 and --seed at least 0, got {steps} and {seed}")
-    out.parent.mkdir(parents=True, exist_ok=True)
+    layout = check_destination(out, 4 * steps * (found.state_dim + found.action_dim))
     with _bar("recording", "steps") as show:
         recording = found.collector.record(steps, seed, show)
-    if out.suffix == ".hdf5":
+    if layout == "d4rl":
         write_d4rl(out, recording, found.goal_indices, found.radius, found.goal_parts)
     else:
         with _bar("writing", "episodes") as show:

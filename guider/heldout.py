@@ -32,7 +32,8 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
     prior_coverage:       share of latent entries of true c-step outcomes within the prior's central 95 %
                           (0.95 if it fits; less: it has not seen such moves); `prior_coverage_shuffled` is the
                           same for outcomes taken from other places: it should be lower
-    subgoal_distance:     median distance from proposed subgoals to the nearest logged goal-space state (goal units)
+    subgoal_distance:     median distance (goal units) from subgoals proposed towards the episode's last state to the
+                          nearest goal-space state that starts one of these windows
     subgoals_in_range:    share of proposed subgoals no further away than 99 % of true c-step outcomes
     value_rank:           mean over episodes of Spearman's correlation between time and the high level's value
                           of the episode's last state as goal: 1 where value rises all along

@@ -12,8 +12,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.envs import registration
 
+from guider.data.catalogue import CATALOGUE, find_dataset
 from guider.data.write import write_d4rl
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
@@ -29,6 +29,14 @@ def test_tasks_are_listed_without_loading_their_simulators():
     code = f"import sys, guider.tasks; print([name for name in {heavy} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("find, names", [(find_task, TASKS), (find_dataset, CATALOGUE)])
+def test_a_name_that_is_none_is_answered_by_those_like_it_or_a_few(find, names):
+    with pytest.raises(GuiderError, match=r"'antmaze-large-diverze'; did you mean antmaze-large-diverse"):
+        find("antmaze-large-diverze")
+    with pytest.raises(GuiderError, match=rf"'zzz'; there are {next(iter(names))}, .* and {len(names) - 12} more \("):
+        find("zzz")
 
 
 def roll(task: Task, seeds: np.ndarray, steps: int) -> tuple[Episodes, np.ndarray]:
@@ -190,11 +198,13 @@ def make_toy(**options: float) -> gymnasium.Env:
 
 
 @pytest.fixture
-def toys(monkeypatch):
-    monkeypatch.setattr(registration, "registry", dict(gymnasium.registry))
+def toys():
     gymnasium.register("Toy-v0", make_toy, max_episode_steps=200)
     gymnasium.register("ScaledToy-v0", make_toy, max_episode_steps=200, kwargs={"scale": 2.0})
     gymnasium.register("EndlessToy-v0", make_toy)
+    yield
+    for name in ("Toy-v0", "ScaledToy-v0", "EndlessToy-v0"):
+        del gymnasium.registry[name]
 
 
 def test_goal_entries_are_found_in_the_state(toys):

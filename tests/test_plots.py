@@ -23,6 +23,7 @@ from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig
 from guider.methods.view import unit_scale
 from guider.plots import canvas
+from guider.plots.curves import metric_labels
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoal_outcomes
 from guider.plots.mazes import in_wall, legible_subgoals, maze_positions, spread_positions
 from guider.plots.subgoals import data_outcomes, proposals
@@ -59,8 +60,13 @@ def logs(goal_dim: int) -> Episodes:
 
 @cache
 def make_policy(goal_dim: int) -> Policy:
-    """A policy of random numbers, so that nothing is compiled, with the goal space of logs(goal_dim)."""
-    config, spaces, rng = small_config(), logs(goal_dim).spaces, np.random.default_rng(0)
+    """`policy_for` logs(goal_dim)."""
+    return policy_for(logs(goal_dim))
+
+
+def policy_for(episodes: Episodes) -> Policy:
+    """A policy of random numbers, so that nothing is compiled, with the goal space of the episodes."""
+    config, spaces, rng = small_config(), episodes.spaces, np.random.default_rng(0)
     scale = unit_scale(config.view, spaces)
     shapes = jax.eval_shape(lambda: guider.init(config, spaces, scale, jax.random.key(0)))
     state = jax.tree.map(lambda leaf: jnp.asarray(0.4 * rng.standard_normal(leaf.shape), jnp.float32), shapes)
@@ -208,8 +214,8 @@ def test_spread_positions_start_at_the_start_and_go_far():
 
 
 def test_figure_7_gives_its_numbers():
-    task = replace(TASK, reach_radius=0.5)
-    figure = drawn(plots.subgoals_met(task, MAZE, logs(2), TRACES, PERIOD, 40, TITLE))
+    problem = Problem(reach_radius=0.5, period_steps=PERIOD)
+    figure = drawn(plots.subgoals_met(problem, MAZE, logs(2), TRACES, 40, TITLE))
     title = title_of(figure)
     assert TITLE in title and "episode seeds 40 to 41, 3 subgoals" in title
     assert "median distance is 0.30 m" in title and "67% are within 0.5 m" in title
@@ -219,12 +225,44 @@ def test_figure_7_gives_its_numbers():
 @pytest.mark.parametrize("goal_dim", [1, 2, 3])
 def test_logs_without_a_maze_can_be_drawn_whatever_their_goal_space(goal_dim):
     logged, held_out = logs(goal_dim).split(0.4)
-    figure = drawn(plots.subgoals_on_logs(logged, held_out, make_policy(goal_dim), TITLE))
-    assert TITLE in title_of(figure) and "every c = 5 steps" in title_of(figure)
-    assert len([axes for axes in figure.axes if axes.get_title()]) == 2
+    figure = drawn(plots.subgoals_on_logs(logged, held_out, "held-out", make_policy(goal_dim), TITLE))
+    assert TITLE in title_of(figure) and "every c = 5 steps along held-out episodes" in title_of(figure)
+    assert len([axes for axes in figure.axes if axes.get_title().startswith("held-out episode")]) == 2
     if goal_dim != 2:
         assert stars(figure.axes[0]).shape == (5, 2)
         np.testing.assert_array_equal(stars(figure.axes[0])[:, 0], [5, 10, 15, 20, 25])
+
+
+def labels_below(figure: Figure) -> list[str]:
+    [legend] = figure.legends
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_legends_name_what_is_drawn_alone():
+    alone = [replace(walk, subgoals=np.broadcast_to(walk.goal, walk.subgoals.shape)) for walk in TRACES]
+    figure = drawn(plots.episodes_in_maze(TASK, MAZE, logs(2), alone, 40, TITLE))
+    assert labels_below(figure) == ["logged positions", "final goal"]
+    assert not any(line.get_marker() == "*" for axes in figure.axes for line in axes.lines)
+    problem = Problem(reach_radius=2.0, period_steps=PERIOD)
+    figure = drawn(plots.subgoals_met(problem, MAZE, logs(2), TRACES, 40, TITLE))
+    assert labels_below(figure)[2:] == ["reached"]
+
+
+def test_a_goal_space_too_wide_to_show_says_so():
+    figure = drawn(plots.subgoals_on_logs(logs(4), logs(4), "training", make_policy(4), TITLE))
+    assert "goal entries" not in title_of(figure)
+    wide = make_episodes(np.random.default_rng(0).normal(size=(42, 5)), np.zeros((42, 2)), [21, 21], tuple(range(5)))
+    figure = drawn(plots.subgoals_on_logs(wide, wide, "training", policy_for(wide), TITLE))
+    assert "along training episodes" in title_of(figure) and "; the 4 most varied of 5 goal entries" in title_of(figure)
+    assert figure.axes[0].get_title() == "training episode 0"
+
+
+def test_goal_entries_that_never_change_are_drawn():
+    still = logs(2).observations.copy()
+    still[:, 1] = 3.0
+    episodes = make_episodes(still, np.zeros((126, 2)), [21] * 6, (0, 1))
+    figure = drawn(plots.subgoals_on_logs(episodes, episodes, "training", make_policy(2), TITLE))
+    assert 1 < len(stars(figure.axes[0])) <= 5
 
 
 def metrics_line(stage: str, update: int, metrics: dict[str, list[float]]) -> dict[str, Any]:
@@ -245,12 +283,42 @@ EVALUATIONS = [
 def test_learning_curves_show_seeds_and_mean_of_the_main_metrics():
     figure = drawn(plots.learning_curves(METRICS, TITLE))
     names = [axes.get_title() for axes in figure.axes]
-    assert names[:3] == ["squared error (goal units²)", "KL of posterior and prior (nats)", "loss"]
+    assert names[:3] == ["squared error per entry", "KL of posterior and prior (nats)", "loss"]
     assert names[3:] == ["critic value", "TD error", "advantage weight", "a"]
     lines = [points(line)[:, 1] for line in figure.axes[1].lines]
     np.testing.assert_allclose(lines, [[1, 0], [3, 1], [2, 0.5]])
     assert figure.axes[0].get_yscale() == "log" and figure.axes[4].get_yscale() == "linear"
     assert title_of(figure) == TITLE
+
+
+def test_curves_have_the_units_of_their_settings():
+    config = small_config()
+    labels = metric_labels(config)
+    assert labels["squared_error"] == "squared error per entry (goal units²)"
+    assert labels["divergence"] == "KL of policy and prior (nats per entry)"
+    spreads = replace(config, latent=replace(config.latent, error_in_spreads=True))
+    assert "goal units" in metric_labels(spreads)["squared_error"]  # spreads are 1 where inputs are raw
+    spreads = replace(spreads, view=replace(spreads.view, normalise=True), high=replace(config.high, prior=False))
+    labels = metric_labels(spreads)
+    assert labels["squared_error"] == "squared error per entry (c-step spreads²)"
+    assert labels["divergence"] == "log density of policy"
+    names = [axes.get_title() for axes in plots.learning_curves(METRICS, TITLE, labels).axes]
+    assert names[0] == labels["squared_error"]
+
+
+@pytest.mark.parametrize("name", ["\udcff.npz", "日本.npz", "$x$_{.npz", "x\ny"])
+def test_data_of_any_name_has_a_picture(tmp_path, name):
+    canvas.save(canvas.new_figure(name, (2, 2)), tmp_path / "picture.png")
+
+
+def test_a_single_point_is_seen():
+    for line in plots.learning_curves(METRICS[:1], TITLE).axes[0].lines:
+        assert line.get_marker() == "o" and len(points(line)) == 1
+
+
+def test_one_seed_has_no_deviation():
+    lines = [line | {"score": line["score"][:1]} for line in EVALUATIONS]
+    assert title_of(plots.score_curve(lines, TITLE)) == f"{TITLE}\n5 episodes"
 
 
 def test_score_curve_is_the_mean_in_percent():
@@ -266,6 +334,7 @@ def make_run(directory, episodes: Episodes, task: str | None, policy: Policy) ->
         task=task,
         data="logs/robot.npz",
         format=None,
+        episode_ends=(),
         fingerprint="",
         held_out=0.4,
         method="guider",
@@ -310,3 +379,14 @@ def test_a_run_on_logs_is_drawn_without_a_task(tmp_path):
     run = make_run(tmp_path, episodes, None, make_policy(2))
     paths = plots.draw_run(run, None, episodes, 3, 1000)
     assert [path.name for path in paths] == ["learning.png", "scores.png", "subgoals-seed3.png"]
+
+
+@pytest.mark.parametrize("held_out, kind, count", [(0.4, "held-out", 2), (0.0, "training", 6)])
+def test_episodes_are_called_held_out_where_they_were(tmp_path, monkeypatch, held_out, kind, count):
+    asked = []
+    monkeypatch.setattr(plots, "subgoals_on_logs", lambda *arguments: asked.append(arguments) or Figure())
+    run = make_run(tmp_path, logs(2), None, make_policy(2))
+    run.spec = replace(run.spec, held_out=held_out)  # pyright: ignore[reportAttributeAccessIssue]
+    plots.draw_run(run, None, logs(2), 3, 1000)
+    [(_, shown, said, *_)] = asked
+    assert (said, len(shown.starts)) == (kind, count)

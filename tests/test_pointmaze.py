@@ -239,7 +239,7 @@ def test_a_failed_recording_leaves_nothing_behind(tmp_path, monkeypatch):
         raise OSError("no space left")
 
     monkeypatch.setattr(os, "replace", full_disk)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(GuiderError, match="cannot be written: no space"):
         collect("umaze", 100, 0, tmp_path / "data.hdf5")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(GuiderError, match="at least two"):

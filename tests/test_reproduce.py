@@ -183,7 +183,7 @@ def test_a_plan_names_the_commands_it_takes(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["table1", "--methods", "magic"], "there is no method 'magic'; there is"),
+        (["table1", "--methods", "magic"], "there is no method 'magic'; there are"),
         (["table2", "--methods", "guider"], "leave --methods out"),
         (["table2", "--set", "high.prior=true"], "table2 compares values of high.prior"),
         (["table2", "--set", "gcsl:updates=3"], "table2 has no runs of a method 'gcsl'"),

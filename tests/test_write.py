@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,11 @@ import pytest
 from recordings import GOAL, walk
 
 from guider.cli import main
-from guider.data import load
+from guider.data import load, write
 from guider.data.store import Recording
-from guider.data.write import write_d4rl, write_minari
+from guider.data.write import check_destination, write_d4rl, write_minari
 from guider.episodes import Episodes, make_episodes
+from guider.errors import GuiderError
 
 LENGTHS = (7, 2, 1, 30, 12)
 
@@ -52,6 +54,71 @@ def test_minari_comes_back_equal(tmp_path, goals, bound):
     recording = recorded(goals, bound)
     minari_facts(tmp_path / "new" / "walk", recording, GOAL, 0.5)
     assert load(tmp_path / "new" / "walk", GOAL).fingerprint() == as_episodes(recording).fingerprint()
+
+
+NAMES = ["a b[1]", "-x", "%41\\n", "ü" * 120, "~", "set "]
+"""Such as the file system takes; the fourth has 240 bytes of the 255 there may be."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_name_will_do_and_any_folder_to_start_from(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    out = Path("new") / name
+    assert check_destination(out, 1000) == "minari" and check_destination(Path(f"{out}.H5"), 1000) == "d4rl"
+    minari_facts(out, recorded(), GOAL, 0.5)
+    write_d4rl(Path(f"{out}.H5"), recorded(), GOAL, 0.5)
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == sorted([name, f"{name}.H5"])
+    for written in (out, Path(f"{out}.H5")):
+        assert load(written.absolute(), GOAL).fingerprint() == as_episodes(recorded()).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [
+        ("x.npz", r"x.npz: recordings are not written as .npz; end the name in .hdf5 or .h5 .* or in nothing"),
+        ("x.PKL", "not written as .pkl"),
+        ("file", "exists already and is never overwritten"),
+        ("link", "exists already and is never overwritten"),
+        ("file/x.h5", "file/x.h5 cannot be written: "),
+        ("x" * 256, "cannot be written: File name too long"),
+        ("/proc/x", "/proc/x cannot be written: No such file"),
+    ],
+)
+def test_where_nothing_can_be_written_is_known_before_anything_is(tmp_path, monkeypatch, out, message):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("mine")
+    Path("link").symlink_to("nowhere")
+    with pytest.raises(GuiderError, match=message):
+        check_destination(Path(out), 1000)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
+
+
+def test_a_full_disk_is_one_line_before_and_after_recording(tmp_path):
+    with pytest.raises(GuiderError, match=r"x.hdf5 cannot be written: (No space left|File too large)"):
+        check_destination(tmp_path / "x.hdf5", 2**60)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        for writer, name in ((write_d4rl, "x.hdf5"), (minari_facts, "x")):
+            with pytest.raises(GuiderError, match=f"{name} cannot be written: File too large"):
+                writer(tmp_path / name, recorded(), GOAL, 0.5)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("goals", [True, False])
+@pytest.mark.parametrize("lengths", [(2,) * 40, (1500, 1500)])
+def test_minari_takes_no_more_room_than_asked_for(tmp_path, monkeypatch, goals, lengths):
+    asked = []
+    monkeypatch.setattr(write, "_check_room", lambda path, size: asked.append(size))
+    goal = np.zeros((sum(lengths), 2), np.float32) if goals else None
+    arrays = walk(list(lengths))
+    minari_facts(
+        tmp_path / "x", Recording(arrays["observations"], arrays["actions"], np.array(lengths), goal), GOAL, 0.5
+    )
+    taken = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    assert taken <= asked[0] <= 2.5 * taken
 
 
 @pytest.mark.parametrize("goals", [True, False])
@@ -142,9 +209,9 @@ def test_minari_reports_its_episodes(tmp_path):
 
 def test_what_fails_half_way_leaves_nothing(tmp_path):
     def stop(done: int, total: int) -> None:
-        raise InterruptedError
+        raise KeyboardInterrupt
 
-    with pytest.raises(InterruptedError):
+    with pytest.raises(KeyboardInterrupt):
         minari_facts(tmp_path / "walk", recorded(), GOAL, 0.5, report=stop)
     broken = replace(recorded(), actions=np.array([{}] * sum(LENGTHS)))
     with pytest.raises(TypeError):
@@ -155,13 +222,14 @@ def test_what_fails_half_way_leaves_nothing(tmp_path):
 def test_a_directory_that_holds_something_is_left_alone(tmp_path):
     (tmp_path / "walk").mkdir()
     (tmp_path / "walk" / "notes.txt").write_text("mine")
-    with pytest.raises(OSError, match="not empty"):
+    with pytest.raises(GuiderError, match="walk cannot be written: Directory not empty"):
         minari_facts(tmp_path / "walk", recorded(), GOAL, 0.5)
     assert contents(tmp_path) == {"notes.txt": b"mine"}
 
 
-def test_collect_writes_what_the_name_says(tmp_path, capsys):
-    file, directory = tmp_path / "umaze.hdf5", tmp_path / "umaze"
+def test_collect_writes_what_the_name_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    file, directory = Path("umaze.h5"), Path("umaze")
     for out in (file, directory):
         assert main(["collect", "pointmaze-umaze", "--steps", "500", "--seed", "3", "--out", str(out), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["data"] == str(out)
@@ -171,3 +239,6 @@ def test_collect_writes_what_the_name_says(tmp_path, capsys):
     assert "guider collect pointmaze-umaze --steps 500 --seed 3" in metadata["description"]
     assert main(["collect", "pointmaze-umaze", "--steps", "500", "--out", str(directory)]) == 1
     assert "never overwritten" in capsys.readouterr().err
+    assert main(["collect", "pointmaze-umaze", "--out", "umaze.npz"]) == 1
+    assert capsys.readouterr().err.startswith("guider: umaze.npz: recordings are not written as .npz")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["umaze", "umaze.h5"]

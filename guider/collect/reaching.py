@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
+
+from guider.tasks.physics import mujoco
 
 STEP_S = 0.08
 # An action of 1 puts the servo's set point 2 rad/s (the fingers': 2 m/s) times STEP_S ahead of the joint.

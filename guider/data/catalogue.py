@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, names_like
 
 MINARI_PREFIX = "minari:"
 
@@ -49,9 +48,7 @@ def find_dataset(name: str) -> Dataset:
         return CATALOGUE[name]
     if name.startswith(MINARI_PREFIX):
         return Dataset(name, "Minari")
-    near = difflib.get_close_matches(name, CATALOGUE, n=3, cutoff=0.4)
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
-    raise GuiderError(f"no data is called {name!r}; {hint}`guider data fetch` lists what there is")
+    raise GuiderError(f"no data is called {name!r}; {names_like(name, CATALOGUE)} (`guider data fetch` lists all)")
 
 
 def _d4rl(name: str, path: str, sha256: str | None = None) -> Dataset:

@@ -2,20 +2,48 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Literal
 
 import h5py
 import numpy as np
 
 from guider.data.store import Recording
+from guider.errors import GuiderError
 from guider.goals import Parts, largest_distance
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
+
+MINARI_BYTES_PER_EPISODE = 30_000
+"""More than Minari writes for an episode besides its arrays: 21,000 to 26,000, or 15,000 to 20,000 without goals."""
+FLAG_BYTES_PER_ROW = 6
+"""Of reward, termination and truncation."""
+
+
+def check_destination(out: Path, size: int) -> Literal["d4rl", "minari"]:
+    """What is to be written to `out`: D4RL's file if its name ends in .hdf5 or .h5, a Minari directory if in nothing.
+
+    size: bytes it will take, or somewhat fewer. Missing folders above it are made. Raises GuiderError for any other
+    ending, where something is there already, and where there is no room or it cannot be written.
+    """
+    ending = out.suffix.lower()
+    if ending not in ("", ".hdf5", ".h5"):
+        raise GuiderError(
+            f"{out}: recordings are not written as {ending}; end the name in .hdf5 or .h5 for D4RL's layout, or in "
+            "nothing for a Minari directory"
+        )
+    if os.path.lexists(out):
+        raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
+    with _new(out, size):
+        return "d4rl" if ending else "minari"
 
 
 def write_d4rl(
@@ -35,15 +63,13 @@ def write_d4rl(
         arrays["infos/goal"] = recording.goals
     arrays["rewards"] = np.where(timeouts, np.float32(0), _rewards(recording, goal_indices, radius, goal_parts))
     arrays |= {"terminals": np.zeros(rows, bool), "timeouts": timeouts}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial(path)
-    try:
-        with h5py.File(partial, "w") as file:
-            for key, array in arrays.items():
-                file.create_dataset(key, data=array)
+    content = BytesIO()  # HDF5 crashes on a full disk
+    with h5py.File(content, "w") as file:
+        for key, array in arrays.items():
+            file.create_dataset(key, data=array)
+    with _new(path, len(content.getbuffer())) as partial:
+        partial.write_bytes(content.getbuffer())
         os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_minari(
@@ -86,9 +112,11 @@ def write_minari(
         low, high = (np.asarray(bound, np.float32) for bound in (recording.action_low, recording.action_high))
         action_space = Box(low, high, action_space.shape, np.float32)
 
-    partial = _partial(directory)
-    partial.mkdir(parents=True)
-    try:
+    arrays = recording.observations, recording.actions, *2 * [recording.goals]
+    size = sum(array.nbytes for array in arrays if array is not None)
+    size += FLAG_BYTES_PER_ROW * len(recording.observations) + MINARI_BYTES_PER_EPISODE * len(recording.lengths)
+    with _new(directory, size) as partial:
+        partial.mkdir()
         storage = MinariStorage.new(partial / "data", observation_space, action_space)
         storage.update_metadata(
             {
@@ -102,8 +130,6 @@ def write_minari(
         rewards = _rewards(recording, goal_indices, radius, goal_parts)
         storage.update_episodes(_episode_buffers(recording, goal_indices, rewards, report))
         os.replace(partial, directory)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _episode_buffers(
@@ -142,6 +168,27 @@ def _rewards(recording: Recording, goal_indices: tuple[int, ...], radius: float,
     return rewards
 
 
-def _partial(path: Path) -> Path:
-    """Where `path` is written before it is renamed: beside it, so that renaming is one step."""
-    return path.with_name(f".{path.name}.{os.getpid()}.partial")
+@contextmanager
+def _new(path: Path, size: int) -> Iterator[Path]:
+    """Where to write what is then renamed to `path`: within a folder beside it that lasts as long as this context.
+
+    Raises GuiderError where there is no room for `size` bytes, and for any OSError in the context.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".", suffix=".partial", dir=path.parent.absolute()) as folder:
+            partial = Path(folder) / path.name
+            _check_room(partial, size)
+            yield partial
+    except OSError as error:
+        raise GuiderError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _check_room(path: Path, size: int) -> None:
+    """Raise OSError unless a file of `size` bytes can be made at `path`; it is gone again afterwards."""
+    with path.open("wb") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, max(1, size))  # minds quotas and limits, too
+        elif shutil.disk_usage(path.parent).free < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    path.unlink()

@@ -15,7 +15,7 @@ from guider.episodes import Episodes
 from guider.evaluation import rollout
 from guider.methods.guider import GuiderConfig
 from guider.plots import canvas
-from guider.plots.curves import learning_curves, score_curve
+from guider.plots.curves import learning_curves, metric_labels, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.plots.logs import subgoals_on_logs
 from guider.plots.mazes import episodes_in_maze, reachable_in_maze, spread_positions, subgoal_arrows
@@ -59,19 +59,20 @@ def draw_run(
         saved.append(path)
 
     if lines := read_lines(run.directory / "metrics.jsonl"):
-        save("learning", learning_curves(lines, title_of_all))
+        save("learning", learning_curves(lines, title_of_all, metric_labels(spec.config)))
     if lines := read_lines(run.directory / "evaluations.jsonl"):
         save("scores", score_curve(lines, title_of_all))
     policy = run.policies()[spec.seeds.index(seed)]
-    logged, held_out = episodes.split(spec.held_out) if spec.held_out else (episodes, episodes)
+    logged, shown = episodes.split(spec.held_out) if spec.held_out else (episodes, episodes)
+    kind = "held-out" if spec.held_out else "training"
 
     guided = isinstance(policy.config, GuiderConfig)
     if task is None or task.maze is None:
         if guided:
-            save(f"subgoals-seed{seed}", subgoals_on_logs(logged, held_out, policy, title))
+            save(f"subgoals-seed{seed}", subgoals_on_logs(logged, shown, kind, policy, title))
         return saved
 
-    maze, period = task.maze, policy.config.problem.period_steps
+    maze, problem = task.maze, policy.config.problem
     traces = rollout(policy, task, episodes_shown, first_seed, keep_traces=episodes_shown).traces
     save(f"episodes-seed{seed}", episodes_in_maze(task, maze, logged, traces, first_seed, title))
     if not guided:
@@ -80,8 +81,8 @@ def draw_run(
     positions = spread_positions(maze, logged, 8)
     save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
     measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed, keep_traces=EPISODES_MEASURED).traces
-    if len(subgoal_gaps(measured, period)):
-        save(f"met-seed{seed}", subgoals_met(task, maze, logged, measured, period, first_seed, title))
+    if len(subgoal_gaps(measured, problem.period_steps)):
+        save(f"met-seed{seed}", subgoals_met(problem, maze, logged, measured, first_seed, title))
     return saved
 
 

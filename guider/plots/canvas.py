@@ -6,6 +6,7 @@ Positions are in goal units, which are metres in mazes. A function that takes `a
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,16 +33,18 @@ LOGGED_SHOWN = 20_000
 
 
 def new_figure(title: str, size: tuple[float, float]) -> Figure:
-    """An empty figure; size: width and height in inches."""
+    """An empty figure; size: width and height in inches. Bytes of a file's name that are no text are shown as `?`."""
     figure = Figure(figsize=size, layout="compressed")
-    figure.suptitle(title, fontsize=10, parse_math=False)
+    figure.suptitle(title.encode(errors="replace").decode(), fontsize=10, parse_math=False)
     return figure
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write `figure` as PNG under a temporary name, then rename: a picture is never half there."""
     temporary = path.with_name(f".{path.stem}.{os.getpid()}")
-    figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of names in scripts that the font lacks
+        figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
     temporary.replace(path)
 
 

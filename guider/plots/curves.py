@@ -10,16 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
+from guider.methods.guider import GuiderConfig
 from guider.plots import canvas
 
 METRIC_LABELS = {
-    "squared_error": "squared error (goal units²)",
+    "squared_error": "squared error per entry",
     "kl": "KL of posterior and prior (nats)",
     "value": "critic value",
     "td_error": "TD error",
-    "divergence": "KL of policy and prior (nats)",
+    "divergence": "divergence",
     "conservative_gap": "conservative gap",
-    "action_error": "squared error of actions",
+    "action_error": "squared error of actions in [-1, 1]",
     "weight": "advantage weight",
 }
 """Metrics in the order of their importance; a stage shows its first four, others after these."""
@@ -27,10 +28,22 @@ LOGARITHMIC = ("squared_error", "td_error")
 METRICS_SHOWN = 4
 
 
-def learning_curves(lines: Sequence[dict[str, Any]], title: str) -> Figure:
+def metric_labels(config: Any) -> dict[str, str]:
+    """METRIC_LABELS with what depends on a method's settings."""
+    if not isinstance(config, GuiderConfig):
+        return METRIC_LABELS
+    in_spreads = config.latent.error_in_spreads and config.view.normalise
+    return METRIC_LABELS | {
+        "squared_error": f"squared error per entry ({'c-step spreads' if in_spreads else 'goal units'}²)",
+        "kl": "KL of posterior and prior (nats per entry)",
+        "divergence": "KL of policy and prior (nats per entry)" if config.high.prior else "log density of policy",
+    }
+
+
+def learning_curves(lines: Sequence[dict[str, Any]], title: str, labels: dict[str, str] = METRIC_LABELS) -> Figure:
     """A row of panels per stage: its main metrics against its updates, thin per seed and bold in the mean.
 
-    lines: of metrics.jsonl, at least one.
+    lines: of metrics.jsonl, at least one; labels: see `metric_labels`.
     """
     stages = list(dict.fromkeys(line["stage"] for line in lines))
     figure = canvas.new_figure(title, (3.2 * METRICS_SHOWN, 2.3 * len(stages) + 0.4))
@@ -41,8 +54,8 @@ def learning_curves(lines: Sequence[dict[str, Any]], title: str) -> Figure:
         updates = [line["update"] for line in chosen]
         for axes, name in zip(row, names, strict=False):
             values = np.array([line["metrics"][name] for line in chosen])
-            _seed_lines(axes, updates, values)
-            axes.set_title(METRIC_LABELS.get(name, name.replace("_", " ")), fontsize=9)
+            _seed_lines(axes, updates, values, "-" if len(updates) > 1 else "o")
+            axes.set_title(labels.get(name, name.replace("_", " ")), fontsize=9)
             if name in LOGARITHMIC and (values > 0).all():
                 axes.set_yscale("log")
         for axes in row[len(names) :]:
@@ -54,7 +67,7 @@ def learning_curves(lines: Sequence[dict[str, Any]], title: str) -> Figure:
 
 
 def score_curve(lines: Sequence[dict[str, Any]], title: str) -> Figure:
-    """Scores during training, mean and standard deviation over seeds (Figures 5 and 6).
+    """Scores during training; of several seeds, mean and standard deviation (Figures 5 and 6).
 
     lines: of evaluations.jsonl, at least one.
     """
@@ -62,9 +75,12 @@ def score_curve(lines: Sequence[dict[str, Any]], title: str) -> Figure:
     scores = np.array([line["score"] for line in lines])
     mean, deviation = scores.mean(axis=1), scores.std(axis=1)
     seeds, episodes = scores.shape[1], lines[-1]["episodes"]
-    figure = canvas.new_figure(
-        f"{title}\nmean and standard deviation of {seeds} seeds, {episodes} episodes each", (6, 4)
+    whose = (
+        f"mean and standard deviation of {seeds} seeds, {episodes} episodes each"
+        if seeds > 1
+        else f"{episodes} episodes"
     )
+    figure = canvas.new_figure(f"{title}\n{whose}", (6, 4))
     axes = figure.subplots()
     axes.fill_between(updates, mean - deviation, mean + deviation, color=canvas.BLUE, alpha=0.2, linewidth=0)
     _seed_lines(axes, updates, scores, "o-")
@@ -78,10 +94,10 @@ def _main_metrics(metrics: dict[str, Any]) -> list[str]:
     return ranked[:METRICS_SHOWN]
 
 
-def _seed_lines(axes: Axes, updates: Sequence[int], values: np.ndarray, style: str = "-") -> None:
+def _seed_lines(axes: Axes, updates: Sequence[int], values: np.ndarray, style: str) -> None:
     """values: [points, seeds]."""
     if values.shape[1] > 1:
-        axes.plot(updates, values, color=canvas.BLUE, linewidth=0.7, alpha=0.4)
+        axes.plot(updates, values, style, color=canvas.BLUE, linewidth=0.7, markersize=2, alpha=0.4)
     axes.plot(updates, values.mean(axis=1), style, color=canvas.BLUE, linewidth=1.8, markersize=4)
     axes.grid(color=canvas.GRID, linewidth=0.6)
     axes.tick_params(labelsize=8, which="both")

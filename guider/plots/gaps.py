@@ -14,8 +14,8 @@ from guider.episodes import Episodes
 from guider.evaluation import Trace
 from guider.plots import canvas
 from guider.policy import Policy
+from guider.problem import Problem
 from guider.tasks.mazes import Maze
-from guider.tasks.types import Task
 
 
 def fixed_period(policy: Policy) -> Policy:
@@ -47,26 +47,21 @@ def subgoal_gaps(traces: Sequence[Trace], period_steps: int) -> np.ndarray:
 
 
 def subgoals_met(
-    task: Task,
-    maze: Maze,
-    logged: Episodes,
-    traces: Sequence[Trace],
-    period_steps: int,
-    first_seed: int,
-    title: str,
+    problem: Problem, maze: Maze, logged: Episodes, traces: Sequence[Trace], first_seed: int, title: str
 ) -> Figure:
     """Subgoals against where the robot really was c steps later (Figure 7), on the map and as a histogram.
 
     traces: rolled out with `fixed_period`, at least one of them longer than a period.
     """
+    period_steps, reach_radius = problem.period_steps, problem.reach_radius
     subgoals, outcomes = subgoal_outcomes(traces, period_steps)
     gaps = subgoal_gaps(traces, period_steps)
-    met = gaps <= task.reach_radius
+    met = gaps <= reach_radius
     width, height = canvas.panel_size(maze, 8.0)
     figure = canvas.new_figure(
         f"{title}\n{canvas.seed_range(first_seed, len(traces))}, {len(gaps)} subgoals: after "
         f"c = {period_steps} steps the median distance is {np.median(gaps):.2f} m, "
-        f"{met.mean():.0%} are within {task.reach_radius:g} m",
+        f"{met.mean():.0%} are within {reach_radius:g} m",
         (width + 3, height + 0.5),
     )
     plan, histogram = figure.subplots(1, 2, width_ratios=(width, 3))
@@ -79,7 +74,7 @@ def subgoals_met(
         *subgoals.T, "*", color=canvas.ORANGE, markersize=6, markeredgecolor=canvas.DARK, markeredgewidth=0.3, zorder=5
     )
     histogram.hist(gaps, bins=24, color=canvas.BLUE, alpha=0.7)
-    histogram.axvline(task.reach_radius, color=canvas.GREEN, label="counts as reached")
+    histogram.axvline(reach_radius, color=canvas.GREEN, label="counts as reached")
     histogram.axvline(float(np.median(gaps)), color=canvas.DARK, linestyle="--", label="median")
     histogram.set(xlabel="distance after c steps (m)", ylabel="subgoals")
     histogram.margins(y=0.2)
@@ -90,8 +85,8 @@ def subgoals_met(
         [
             canvas.star_handle("subgoal"),
             canvas.dot_handle(canvas.BLUE, f"robot {period_steps} steps later"),
-            Line2D([], [], color=canvas.GREEN, label="reached"),
-            Line2D([], [], color=canvas.RED, label="missed"),
+            *([Line2D([], [], color=canvas.GREEN, label="reached")] if met.any() else []),
+            *([Line2D([], [], color=canvas.RED, label="missed")] if not met.all() else []),
         ],
     )
     return figure

@@ -27,8 +27,10 @@ def episodes_in_maze(
 ) -> Figure:
     """Where evaluation episodes went, coloured by time, with their subgoals in order (Figures 1b and 3).
 
-    traces: of the episode seeds first_seed, first_seed + 1, ...; stars are thinned, see `legible_subgoals`.
+    traces: of the episode seeds first_seed, first_seed + 1, ...; stars are thinned, see `legible_subgoals`, and left
+    out where the goal is the only subgoal.
     """
+    guided = any((trace.subgoals != trace.goal).any() for trace in traces)
     reached = sum(trace.success for trace in traces)
     columns = min(3, len(traces))
     rows = -(-len(traces) // columns)
@@ -42,8 +44,9 @@ def episodes_in_maze(
     for index, (axes, trace) in enumerate(zip(panels, traces, strict=False)):
         canvas.ground(axes, maze, logged)
         path = canvas.timed_path(axes, trace.achieved, task.horizon_steps)
-        chosen = legible_subgoals(trace, 0.6 * maze.cell_size_m)
-        canvas.numbered_stars(axes, trace.subgoals[chosen])
+        if guided:
+            chosen = legible_subgoals(trace, 0.6 * maze.cell_size_m)
+            canvas.numbered_stars(axes, trace.subgoals[chosen])
         canvas.flag(axes, trace.goal, task.radius)
         outcome = "reached after" if trace.success else "NOT reached in"
         axes.set_title(f"seed {first_seed + index}: {outcome} {len(trace.achieved)} steps", fontsize=9)
@@ -51,9 +54,8 @@ def episodes_in_maze(
     for axes in panels[len(traces) :]:
         axes.remove()
     canvas.colour_bar(figure, path, list(panels[: len(traces)]), "environment step")
-    canvas.legend(
-        figure, [canvas.logged_handle(), canvas.star_handle("subgoals in order (thinned)"), canvas.flag_handle()]
-    )
+    stars = [canvas.star_handle("subgoals in order (thinned)")] if guided else []
+    canvas.legend(figure, [canvas.logged_handle(), *stars, canvas.flag_handle()])
     return figure
 
 
@@ -89,7 +91,7 @@ def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goa
     canvas.flag(axes, goal, task.radius)
     canvas.colour_bar(figure, arrows, [axes], "critic value of the subgoal")
     inside = Line2D([], [], color=canvas.RED, marker=">", markersize=4, label="subgoal inside a wall")
-    canvas.legend(figure, [canvas.logged_handle(), inside, canvas.flag_handle()])
+    canvas.legend(figure, [canvas.logged_handle(), *([inside] if walled.any() else []), canvas.flag_handle()])
     return figure
 
 
@@ -128,7 +130,7 @@ def reachable_in_maze(maze: Maze, logged: Episodes, policy: Policy, positions: n
         [
             canvas.logged_handle(),
             canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded"),
-            canvas.dot_handle(canvas.BLUE, f"logged positions {period} steps after starting here"),
+            canvas.dot_handle(canvas.BLUE, f"logged {period} steps later, in the windows learned from"),
             Line2D([], [], marker="P", color=canvas.DARK, linestyle="", label="here"),
         ],
     )

@@ -175,7 +175,9 @@ def _gaps(plan: Plan, grid: Grid) -> Drawn:
                 ending = f"{file_name(task.name)}-{cell.variant.name}"
                 if ending not in figures and len(gaps[-1]):
                     title = caption(run.spec, run.spec.seeds[:1])
-                    figures[ending] = subgoals_met(task, task.maze, logged, measured, period, first_seed, title)
+                    figures[ending] = subgoals_met(
+                        policy.config.problem, task.maze, logged, measured, first_seed, title
+                    )
             numbers.append(
                 {
                     "task": task.name,

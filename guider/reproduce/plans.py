@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, names_like
 from guider.methods import METHODS
 from guider.presets import Preset
 from guider.reproduce import paper
@@ -233,8 +233,8 @@ def make_plan(name: str, protocol: Protocol, tasks: Sequence[str] = (), methods:
     for variant in variants:
         if variant.method not in METHODS:
             raise GuiderError(
-                f"there is no method {variant.method!r}; there is {', '.join(METHODS)}"
-                + (", to be chosen with --methods" if target.by_method else "")
+                f"there is no method {variant.method!r}; {names_like(variant.method, METHODS)}"
+                + (" (to be chosen with --methods)" if target.by_method else "")
             )
         if compared := variant.settings.keys() & _settings_of(variant.method, protocol):
             raise GuiderError(f"{name} compares values of {compared.pop()}; leave it out of --set")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, names_like
 from guider.tasks import antmaze, pointmaze
 from guider.tasks.antmaze import ANTMAZES
 from guider.tasks.fetch import FETCH_TASKS
@@ -38,9 +37,7 @@ def find_task(name: str) -> Task:
     form, colon, rest = name.partition(":")
     if colon and form in OPEN_FORMS:
         return OPEN_FORMS[form](rest)
-    near = difflib.get_close_matches(name, TASKS, n=3, cutoff=0.4)
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
     raise GuiderError(
-        f"no task is called {name!r}; {hint}`guider tasks` lists them all, and pointmaze:MAZE.txt, antmaze:MAZE.txt "
-        "and gym:ENV_ID make one of a maze you draw or of a Gymnasium goal environment"
+        f"no task is called {name!r}; {names_like(name, TASKS)} (`guider tasks` lists all, and pointmaze:MAZE.txt, "
+        "antmaze:MAZE.txt and gym:ENV_ID make one of a maze you draw or of a Gymnasium goal environment)"
     )

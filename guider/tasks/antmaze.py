@@ -14,13 +14,13 @@ import importlib.util
 from functools import cache, partial
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from guider.collect.ant_walker import walk
 from guider.collect.waypoints import Recipe, record
 from guider.errors import GuiderError
 from guider.tasks.mazes import Maze, make_maze, read_maze
+from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Collector, Task, VectorEnv

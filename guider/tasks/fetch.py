@@ -11,13 +11,12 @@ from __future__ import annotations
 from functools import partial
 from importlib.metadata import version
 
-import mujoco
-
 from guider.collect.fetch import EPISODE_STEPS, Recipe, record
 from guider.collect.fetch_experts import Expert, pick, push, reach, slide
 from guider.data.store import Recording
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
+from guider.tasks.physics import mujoco
 from guider.tasks.simulation import available_cores
 from guider.tasks.types import Collector, Report, Task, VectorEnv
 

@@ -17,13 +17,14 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium import spaces
 
 from guider.errors import GuiderError
+from guider.tasks.goal_measure import Met, environments_rule, first_disagreement, radius_of
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation
 from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task
 
@@ -31,6 +32,7 @@ ANTMAZE_CELL_SIZE_M = 4.0
 ANTMAZE_RADIUS_M = 0.45
 ANTMAZE_FRAME_SKIP = 5
 COPIES = 20
+GOALS_SAMPLED = 3
 
 
 def read_with_achieved_goal(observation: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -76,28 +78,37 @@ def goal_task(identifier: str) -> Task:
 
     The state is `observation`, with the achieved goal in front where it is not among its entries. An episode keeps
     the goal of its reset. c is a twentieth of the horizon, at least 5; a subgoal counts as reached within twice the
-    radius. Raises GuiderError for an environment that cannot be made, has no goals, or leaves a fact open.
+    radius. Raises GuiderError for an environment that cannot be made, has no goals, leaves a fact open, or by its
+    own sparse `compute_reward` counts goals as met otherwise than within the radius.
     """
     name = f"gym:{identifier}"
     env_id, _, query = identifier.partition("?")
     env = make_gymnasium(env_id)
     try:
         _check_spaces(name, env)
-        goal_indices, read = _find_goal(env)
-        state, _ = read(env.reset(seed=0)[0])
-        facts = {
+        observations = _look_around(env)
+        goal_indices, read = _find_goal(observations)
+        facts: dict[str, Any] = {
             "radius": getattr(env.unwrapped, "distance_threshold", None),
             "horizon": env.spec.max_episode_steps if env.spec else None,
-        } | _given_facts(name, query)
+        }
+        facts |= _given_facts(name, query)
+        goals = np.unique([o["desired_goal"] for o in observations], axis=0)[:GOALS_SAMPLED].astype(float)
+        met = environments_rule(env, goals)
+        for fact in (fact for fact, value in facts.items() if value is None):
+            known = radius_of(met, _space_of(env), goals) if fact == "radius" and met else None
+            number = "NUMBER" if known is None else f"{known:g}"
+            raise GuiderError(f"{name} does not say its {fact}; add it: {name}{'&' if query else '?'}{fact}={number}")
+        radius, horizon_steps = float(facts["radius"]), int(facts["horizon"])
+        if met is not None:
+            _check_goal_measure(name, env, met, goals, radius)
     finally:
         env.close()
-    for fact, value in facts.items():
-        if value is None:
-            raise GuiderError(f"{name} does not say its {fact}; add it: {name}{'&' if query else '?'}{fact}=NUMBER")
-    radius, horizon_steps = float(facts["radius"]), int(facts["horizon"])
+    state, _ = read(observations[0])
+    unchecked = "" if met else "; its compute_reward cannot say whether the radius is its own"
     return Task(
         name=name,
-        summary=f"the goal environment {env_id}",
+        summary=f"the goal environment {env_id}{unchecked}",
         domain="gym",
         goal_indices=goal_indices,
         state_dim=len(state),
@@ -145,13 +156,45 @@ def _width(space: spaces.Space | None) -> int:
     return space.shape[0] if isinstance(space, spaces.Box) and len(space.shape) == 1 else 0
 
 
-def _find_goal(env: gymnasium.Env) -> tuple[tuple[int, ...], Reading]:
-    """The state entries of the goal space, and how to read states that have them, from a few random steps."""
+def _check_goal_measure(name: str, env: gymnasium.Env, met: Met, goals: np.ndarray, radius: float) -> None:
+    """Raise GuiderError where the environment's rule differs from the radius in a sample."""
+    space = _space_of(env)
+    away = first_disagreement(met, space, goals, radius)
+    if away is None:
+        return
+    own = radius_of(met, space, goals)
+    shown = ", ".join(f"{entry:.4g}" for entry in away)
+    judged = "missed, by its own compute_reward met" if np.linalg.norm(away) > radius else "met, by its own missed"
+    advice = (
+        "such goals are not met by one distance of all entries: wrap it in an environment whose goals are, or train on "
+        "its data as your own, without a task (--goal-indices, --radius)"
+        if own is None
+        else f"its own radius is {own:g}: say so by ?radius={own:g}"
+    )
+    raise GuiderError(
+        f"{name} counts goals as met otherwise than within {radius:g}: at desired_goal + [{shown}], which is "
+        f"{np.linalg.norm(away):.4g} off, a goal would be {judged}; {advice}"
+    )
+
+
+def _space_of(env: gymnasium.Env) -> Any:
+    """The Box of achieved goals of an environment that passed `_check_spaces`."""
+    observed: Any = env.observation_space
+    return observed["achieved_goal"]
+
+
+def _look_around(env: gymnasium.Env) -> list[dict[str, np.ndarray]]:
+    """What is seen in a few resets and random steps."""
     observations = []
     env.action_space.seed(0)
     for seed in range(5):
         observations.append(env.reset(seed=seed)[0])
         observations.extend(env.step(env.action_space.sample())[0] for _ in range(5))
+    return observations
+
+
+def _find_goal(observations: list[dict[str, np.ndarray]]) -> tuple[tuple[int, ...], Reading]:
+    """The state entries of the goal space, and how to read states that have them."""
     states, achieved = (np.stack([o[key] for o in observations]) for key in ("observation", "achieved_goal"))
     close: Any = np.isclose(achieved[:, :, None], states[:, None], atol=1e-5)
     equal = close.all(axis=0)  # [goal entries, state entries]

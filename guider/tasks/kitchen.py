@@ -14,7 +14,6 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
@@ -22,6 +21,7 @@ from guider.data.kitchen import kitchen_states
 from guider.data.store import Recording
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
+from guider.tasks.physics import mujoco
 from guider.tasks.simulation import available_cores
 from guider.tasks.types import Collector, Report, Task, VectorEnv
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 
 from guider.errors import GuiderError
@@ -22,6 +21,7 @@ from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
 from guider.tasks.antmaze import ant_model
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task, accept
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 from functools import cache, partial
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from guider.collect.waypoints import Recipe, record
 from guider.tasks.mazes import Cell, Maze, make_maze, read_maze
+from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Collector, Task, VectorEnv

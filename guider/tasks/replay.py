@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 
 from guider.episodes import Episodes
 from guider.errors import GuiderError
+from guider.tasks.physics import mujoco
 from guider.tasks.simulation import MujocoVectorEnv, Start
 
 STEPS_REPLAYED = 100

@@ -8,9 +8,9 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import mujoco
-import mujoco.rollout
 import numpy as np
+
+from guider.tasks.physics import mujoco
 
 
 @dataclass(frozen=True)
