@@ -130,7 +130,7 @@ def resume(
     cache = _cache(stage_cache, evaluate_every)
     opened = runs.open_run(run)
     callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
-    runs.resume(opened, _same_data(opened, data), callback, pace, cache)
+    runs.resume(opened, lambda: _same_data(opened, data), callback, pace, cache)
     return opened
 
 

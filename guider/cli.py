@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, Stopped
 from guider.presets import Preset
 from guider.reproduce.paper import TargetName
 
@@ -374,6 +374,9 @@ def main(arguments: list[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"guider: {where}{error.strerror or error}", file=sys.stderr)
         return 1
+    except Stopped as stopped:
+        print(f"guider: {stopped}", file=sys.stderr)
+        return 128 + stopped.signal_number
     except KeyboardInterrupt:
         print("guider: interrupted (a run being trained goes on with `guider train --resume`)", file=sys.stderr)
         return 130
