@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 from guider.errors import GuiderError, GuiderWarning
-from guider.files import clear_leftovers, read_bytes, read_json, temporary, walk, write_json
+from guider.files import clear_leftovers, read_bytes, read_json, remove, temporary, walk, write_json
 from guider.training import Position
 
 PyTree = Any
@@ -50,7 +50,7 @@ def save(directory: Path, step: int, position: Position, state: PyTree) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         clear_leftovers(directory, r"\d+")
-        shutil.rmtree(part, ignore_errors=True)
+        remove(part)
         (part / "state").mkdir(parents=True)
         _write(part / "state", arrays)
         contents = _contents(part)
@@ -58,8 +58,7 @@ def save(directory: Path, step: int, position: Position, state: PyTree) -> None:
             if array.tobytes() != arrays[name].tobytes():
                 raise OSError(f"{name} reads back other than it was")
         write_json(part / MANIFEST, {"position": asdict(position), "files": _digests(contents)})
-        if folder.exists():
-            shutil.rmtree(folder)  # damaged: training went on from a checkpoint before it
+        remove(folder)  # damaged where it is there: training went on from a checkpoint before it
         part.rename(folder)
     except Exception as error:  # a full disk alone is an OSError, ValueError, RuntimeError or XlaRuntimeError
         shutil.rmtree(part, ignore_errors=True)
@@ -119,13 +118,14 @@ def _verified(folder: Path) -> tuple[Position, dict[str, bytes]]:
     except FileNotFoundError:
         raise GuiderError(f"{folder} is damaged: it has no {MANIFEST}") from None
     found, written = _digests(contents), manifest.get("files")
-    if not isinstance(written, dict) or found != written:
-        names = sorted(name for name in found | dict(written or {}) if found.get(name) != (written or {}).get(name))
-        raise GuiderError(f"{folder} is damaged: {names[0]} is not as it was written")
-    match manifest.get("position"):
-        case {"stage": int(stage), "update": int(update)}:
-            return Position(stage, update), contents
-    raise GuiderError(f"{folder} is damaged: it names no position")
+    written = written if isinstance(written, dict) else {}
+    if other := sorted(name for name in found | written if found.get(name) != written.get(name)):
+        raise GuiderError(f"{folder} is damaged: {other[0]} is not as it was written")
+    position = manifest.get("position")
+    stage, update = map(position.get, ("stage", "update")) if isinstance(position, dict) else (None, None)
+    if type(stage) is not int or type(update) is not int:
+        raise GuiderError(f"{folder} is damaged: it names no position")
+    return Position(stage, update), contents
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -218,5 +218,8 @@ def _name(path: Any) -> str:
 def _reason(error: Exception) -> str:
     """In a few words; the libraries beneath wrap the system's in pages of their own."""
     text = str(error) or type(error).__name__
-    system = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)]
+    system = [
+        os.strerror(number)
+        for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EIO)
+    ]
     return next((words for words in system if words.lower() in text.lower()), text.splitlines()[0][:200])

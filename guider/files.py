@@ -36,7 +36,7 @@ def walk(folder: Path) -> Iterator[str]:
     """Every file below `folder`, by its path from there. Raises GuiderError on links and on what is no regular file."""
     waiting = [folder]
     while waiting:
-        for entry in os.scandir(waiting.pop()):
+        for entry in list(os.scandir(waiting.pop())):
             path = Path(entry.path)
             if entry.is_symlink():
                 raise _link(path)
@@ -185,13 +185,18 @@ def temporary(path: Path) -> Path:
 
 def clear_leftovers(folder: Path, name: str) -> None:
     """Remove what processes that are dead left unfinished in `folder`. name: pattern of what they were to write."""
-    for entry in os.scandir(folder):
+    for entry in list(os.scandir(folder)):
         found = re.fullmatch(rf"\.(?:{name})\.(\d+)", entry.name)
         if found and is_dead(int(found[1])):
-            if entry.is_dir(follow_symlinks=False):
-                shutil.rmtree(entry.path, ignore_errors=True)
-            else:
-                Path(entry.path).unlink(missing_ok=True)
+            remove(Path(entry.path))
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link itself, or a folder with all in it, where there is one."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def is_dead(pid: int) -> bool:

@@ -45,7 +45,7 @@ def hold(lock: Path, busy: str, waiting: Callable[[str], None] | None = None) ->
     the lock is free; without it, GuiderError is raised at once. Raises OSError where the file cannot be made.
     """
     while (descriptor := _take(lock)) is None:
-        message = f"{busy} by {_holder(lock) or 'another process'}"
+        message = f"{busy} ({_holder(lock) or 'by another process'})"
         if waiting is None:
             raise GuiderError(f"{message}; wait for that one, or end it")
         waiting(message)

@@ -259,7 +259,7 @@ def _train(
     pace: Pace,
     cache: Path | None,
 ) -> None:
-    """Run the stages, logging every chunk; checkpoints come as `pace` says, at each stage's end and before stopping."""
+    """Run the stages, logging every chunk; checkpoints come as `pace` says, at each stage's end, and on stopping."""
     spec = run.spec
     data, scale = prepared
     if restored is None:
@@ -274,7 +274,7 @@ def _train(
     with _writing(run.directory, kept):
         for path in (metrics, run.directory / "evaluations.jsonl"):
             _drop_later_lines(path, total_updates(stages, reached))
-    saved_at = time.monotonic()
+    saved, saved_at = reached, time.monotonic()
     entry = None  # of the stage being trained, in the cache
     held = ExitStack()  # the lock of that entry
     told: set[str] = set()  # whom was waited for
@@ -289,11 +289,11 @@ def _train(
     def stopped() -> Stopped:
         return Stopped(f"interrupted {run.progress(reached)}; go on with {_resume(run.directory)}", asked[0])
 
-    def save(position: Position, state: Any) -> None:
-        nonlocal saved_at
+    def save(state: Any) -> None:
+        nonlocal saved, saved_at
         with _writing(run.directory, kept):
-            checkpoint.save(run.directory / "checkpoints", total_updates(stages, position), position, state)
-        saved_at = time.monotonic()
+            checkpoint.save(run.directory / "checkpoints", total_updates(stages, reached), reached, state)
+        saved, saved_at = reached, time.monotonic()
 
     def wait(message: str) -> None:
         if asked:
@@ -322,7 +322,8 @@ def _train(
             for line in lines:
                 total = total_updates(stages, Position(index, line["update"]))
                 append_line(metrics, line | {"total_updates": total})
-        save(end, state._replace(**{stage.part: part}))
+        reached = end
+        save(state._replace(**{stage.part: part}))
         return jax.tree.map(jnp.asarray, part)
 
     def record(chunk: Chunk, state: Any) -> None:
@@ -340,8 +341,8 @@ def _train(
             append_line(metrics, line)
         on_chunk(chunk, state)
         stage_ends = reached.update == chunk.stage.updates
-        if stage_ends or asked or time.monotonic() - saved_at > pace.checkpoint_seconds:
-            save(reached, state)
+        if stage_ends or time.monotonic() - saved_at > pace.checkpoint_seconds:
+            save(state)
         if stage_ends and entry is not None:
             lines = [line for line in read_lines(metrics) if line["stage"] == chunk.stage.name]
             try:
@@ -355,7 +356,7 @@ def _train(
         on_signals(ask, signal.SIGINT, signal.SIGTERM),
         jax.default_matmul_precision(spec.config.precision),
     ):
-        train(
+        state = train(
             stages,
             state,
             data,
@@ -366,8 +367,10 @@ def _train(
             known=known,
             stop=lambda: bool(asked),
         )
-    if asked and reached != Position(len(stages) - 1, stages[-1].updates):
-        raise stopped()
+        if asked and reached != Position(len(stages) - 1, stages[-1].updates):
+            if reached != saved:
+                save(state)
+            raise stopped()
 
 
 def _check_finite(run: Run, chunk: Chunk) -> None:

@@ -25,7 +25,7 @@ from jax.extend.core import Var
 
 from guider import checkpoint
 from guider.errors import GuiderError, GuiderWarning
-from guider.files import clear_leftovers, is_line, read_json, temporary, write_json
+from guider.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
 from guider.locks import hold
 from guider.training import Position, Stage
 
@@ -75,8 +75,7 @@ def keep(entry: Path, position: Position, part: PyTree, metrics: list[dict[str, 
     try:
         checkpoint.save(new, position.update, position, part)
         write_json(new / "metrics.json", {"lines": metrics})
-        if entry.exists():
-            shutil.rmtree(entry)
+        remove(entry)
         new.rename(entry)
     except OSError:
         shutil.rmtree(new, ignore_errors=True)

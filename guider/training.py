@@ -111,7 +111,7 @@ def train(
     state: leaves [seeds, ...] (see `init_seeds`); it is consumed. on_chunk sees the state between chunks, and
     must copy what it keeps: the next chunk reuses the memory. Chunks end at multiples of `chunk_updates`.
     known is asked before a stage begins, and gives what it would train where that is known already. stop is asked about
-    every second; the chunk then ends early, and is the last.
+    every second: the chunk then ends early, and is the last.
     """
     keys = seed_keys(seeds)
     for index in range(start.stage, len(stages)):
@@ -125,16 +125,16 @@ def train(
         slice_updates = 1
         while done < stage.updates:
             first, last = done, min(stage.updates, (done // chunk_updates + 1) * chunk_updates)
-            sums, seconds, stopping = no_sums(stage, state, data, keys), 0.0, False
-            while done < last and not stopping:
+            sums, seconds = no_sums(stage, state, data, keys), 0.0
+            while done == first or (done < last and not stop()):
                 until = min(last, done + slice_updates)
                 began = time.perf_counter()
                 state, sums = jax.block_until_ready(run(state, sums, data, keys, jnp.asarray(done), jnp.asarray(until)))
                 took = max(time.perf_counter() - began, 1e-6)
                 slice_updates = max(1, min(10 * slice_updates, int((until - done) * SLICE_SECONDS / took)))
-                done, seconds, stopping = until, seconds + took, stop()
+                done, seconds = until, seconds + took
             means = jax.device_get(jax.tree.map(lambda total, n=done - first: total / n, sums))
             on_chunk(Chunk(stage, Position(index, done), means, done - first, seconds), state)
-            if stopping:
+            if stop():
                 return state
     return state

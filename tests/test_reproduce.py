@@ -104,7 +104,8 @@ def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, .
     }
     runs.write_json(directory / "evaluation.json", result | facts)
     for seconds in (30.0, 60.0):
-        runs.append_line(directory / "metrics.jsonl", {"seconds": seconds})
+        line = {"stage": "goal policy", "update": 500, "total_updates": 500, "seconds": seconds, "metrics": {}}
+        runs.append_line(directory / "metrics.jsonl", line)
     for index, share in enumerate(curve, start=1):
         line = {"total_updates": 500 * index, "score": [share * score for score in scores], "episodes": 20}
         runs.append_line(directory / "evaluations.jsonl", line)

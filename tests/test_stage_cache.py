@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,9 @@ from conftest import make_ragged
 from test_runs import OWN, SETTINGS, assert_bit_equal, write_plain
 
 import guider
-from guider import runs
+from guider import locks, runs, stage_cache
 from guider.config import override
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
 from guider.methods.view import prepare
 from guider.stage_cache import stage_digest
@@ -66,6 +68,58 @@ def test_an_interrupted_run_takes_over_what_others_have_trained_since(shared, tm
     resumed = guider.resume(tmp_path / "run", stage_cache=cache, on_chunk=lambda chunk, _: trained.append(chunk))
     assert not trained
     assert_bit_equal(resumed, whole)
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda entry: flip(max(entry.glob("*/state/*/0*"), key=lambda path: path.stat().st_size)),
+        lambda entry: (entry / "metrics.json").write_text((entry / "metrics.json").read_text()[:-9]),
+        lambda entry: flip(entry / "metrics.json"),
+        lambda entry: (entry / "metrics.json").unlink(),
+        lambda entry: next(entry.glob("*/manifest.json")).unlink(),
+    ],
+)
+def test_a_damaged_entry_is_trained_anew_and_replaced(shared, tmp_path, damage):
+    logs, cache, whole = shared
+    shutil.copytree(cache, tmp_path / "cache")
+    entry = next(entry for entry in (tmp_path / "cache").iterdir() if list(entry.glob("12")))
+    damage(entry)
+    with pytest.warns(GuiderWarning, match=rf"{entry} is damaged, its stage is trained anew"):
+        run, trained = train(logs, tmp_path / "run", stage_cache=tmp_path / "cache")
+    assert trained == ["goal policy"]
+    assert_bit_equal(run, whole)
+    _, trained = train(logs, tmp_path / "again", stage_cache=tmp_path / "cache")
+    assert trained == []
+
+
+def test_a_stage_that_another_trains_is_waited_for(shared, tmp_path, monkeypatch):
+    """The other ends while we wait; then what it trained is taken over."""
+    logs, cache, whole = shared
+    shutil.copytree(cache, tmp_path / "cache")
+    entry = next(entry for entry in (tmp_path / "cache").iterdir() if list(entry.glob("12")))
+    entry.rename(tmp_path / "done")
+    other = stage_cache.training(entry, lambda message: None)
+    other.__enter__()
+
+    def sleep(seconds: float) -> None:
+        if not entry.exists():
+            (tmp_path / "done").rename(entry)
+        else:
+            other.__exit__(None, None, None)
+
+    monkeypatch.setattr(locks.time, "sleep", sleep)
+    with pytest.warns(GuiderWarning) as told:
+        run, trained = train(logs, tmp_path / "run", stage_cache=tmp_path / "cache")
+    assert trained == [] and len(told) == 1
+    assert f"the stage of {entry} is being trained (process {os.getpid()} on" in str(told[0].message)
+    assert_bit_equal(run, whole)
 
 
 def test_a_stage_is_known_by_what_it_reads(fast_config, ragged):

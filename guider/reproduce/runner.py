@@ -154,7 +154,8 @@ def execute(plan: Plan, jobs: int = 1, watch: Watch = SILENT) -> list[Failure]:
         asked.append(number)
 
     # The lock goes to every process that is started: one that outlives this one, which was killed, keeps it.
-    with on_signals(ask, signal.SIGINT, signal.SIGTERM), hold(out / ".lock", f"{out} is worked on") as lock:
+    busy = f"another `guider reproduce`, or a run it started, is still at work in {out}"
+    with on_signals(ask, signal.SIGINT, signal.SIGTERM), hold(out / ".lock", busy) as lock:
         states = _states(plan)
         _check_data(plan, states)
         write_plan(plan)
