@@ -35,6 +35,8 @@ from guider.training import Position
 PyTree = Any
 
 MANIFEST = "manifest.json"
+EXTRA_BYTES = 3 * 4096
+"""What an array takes on disk beside its entries: its folder, its layout, its lines in orbax's metadata and ours."""
 PLAIN = re.compile(r"[\w/.+=, -]*")
 """Paths that orbax and tensorstore take as they stand; in others they see patterns, separators and addresses."""
 
@@ -51,7 +53,9 @@ def save(directory: Path, step: int, position: Position, state: PyTree) -> None:
         directory.mkdir(parents=True, exist_ok=True)
         clear_leftovers(directory, r"\d+")
         remove(part)
-        (part / "state").mkdir(parents=True)
+        part.mkdir()
+        _reserve(part / "room", arrays)
+        (part / "state").mkdir()
         _write(part / "state", arrays)
         contents = _contents(part)
         for name, array in _arrays(part, contents, arrays).items():
@@ -135,6 +139,20 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 def _digests(contents: dict[str, bytes]) -> dict[str, list[Any]]:
     return {name: [len(content), hashlib.sha256(content).hexdigest()] for name, content in contents.items()}
+
+
+def _reserve(folder: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Raise the system's own error where there is no room for the arrays and what is written about each.
+
+    Where it is orbax that finds the disk full, threads of its own may print stack traces for as long as they live.
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    folder.mkdir()
+    for index, array in enumerate(arrays.values()):
+        with (folder / str(index)).open("xb") as file:
+            os.posix_fallocate(file.fileno(), 0, array.nbytes + EXTRA_BYTES)
+    shutil.rmtree(folder)
 
 
 def _write(folder: Path, arrays: dict[str, np.ndarray]) -> None:

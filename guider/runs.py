@@ -241,8 +241,8 @@ def _writing(place: Path, remedy: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = "" if error.filename is None else f" ({error.filename})"
-        raise GuiderError(f"{place}: {error.strerror or error}{where}; {remedy}") from error
+        reason = f"{error.filename or place}: {error.strerror}" if error.strerror else str(error)
+        raise GuiderError(f"{reason}; {remedy}") from error
 
 
 def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 from conftest import make_ragged
 from test_runs import OWN, SETTINGS, assert_bit_equal, write_plain
@@ -20,7 +21,7 @@ from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
 from guider.methods.view import prepare
 from guider.stage_cache import stage_digest
-from guider.training import init_seeds
+from guider.training import Position, init_seeds
 
 STAGES = ["latent subgoals", "subgoal policy", "goal policy"]
 
@@ -79,19 +80,31 @@ def flip(path: Path) -> None:
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda entry: flip(max(entry.glob("*/state/*/0*"), key=lambda path: path.stat().st_size)),
         lambda entry: (entry / "metrics.json").write_text((entry / "metrics.json").read_text()[:-9]),
         lambda entry: flip(entry / "metrics.json"),
+        lambda entry: runs.write_json(entry / "metrics.json", {"lines": [{"stage": "goal policy"}]}),
         lambda entry: (entry / "metrics.json").unlink(),
         lambda entry: next(entry.glob("*/manifest.json")).unlink(),
     ],
 )
-def test_a_damaged_entry_is_trained_anew_and_replaced(shared, tmp_path, damage):
+def test_a_damaged_entry_is_told(tmp_path, damage):
+    part = {"weight": np.ones(3, np.float32)}
+    line = {"stage": "goal policy", "update": 7, "total_updates": 7, "seconds": 0.1, "metrics": {"loss": [1.0]}}
+    end = Position(0, 7)
+    stage_cache.keep(tmp_path / "entry", end, part, [line])
+    found = stage_cache.find(tmp_path / "entry", end, part)
+    assert found is not None and found[0]["weight"].tolist() == [1, 1, 1] and found[1] == [line]
+    damage(tmp_path / "entry")
+    with pytest.warns(GuiderWarning, match="entry is damaged, its stage is trained anew"):
+        assert stage_cache.find(tmp_path / "entry", end, part) is None
+
+
+def test_a_damaged_entry_is_trained_anew_and_replaced(shared, tmp_path):
     logs, cache, whole = shared
     shutil.copytree(cache, tmp_path / "cache")
     entry = next(entry for entry in (tmp_path / "cache").iterdir() if list(entry.glob("12")))
-    damage(entry)
-    with pytest.warns(GuiderWarning, match=rf"{entry} is damaged, its stage is trained anew"):
+    flip(max(entry.glob("*/state/*/0*"), key=lambda path: path.stat().st_size))
+    with pytest.warns(GuiderWarning, match=rf"{entry} is damaged, its stage is trained anew: .* not as it was written"):
         run, trained = train(logs, tmp_path / "run", stage_cache=tmp_path / "cache")
     assert trained == ["goal policy"]
     assert_bit_equal(run, whole)
