@@ -426,7 +426,7 @@ def test_a_checkpoint_that_cannot_be_written_is_one_line(logs, tmp_path, monkeyp
         save(directory, step, *rest)
 
     monkeypatch.setattr(checkpoint, "save", full)
-    words = r"run/checkpoints/12 cannot be written: No space left on device; what was saved last stays; .*go on with `guider train"
+    words = r"run/checkpoints/12 cannot be written: No space left on device; what was saved last stays; .*`guider train"
     with pytest.raises(GuiderError, match=words):
         guider.train(data=logs, out=tmp_path / "run", pace=runs.Pace(3, 0.0), **BC)
     monkeypatch.undo()
