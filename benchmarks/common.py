@@ -16,7 +16,7 @@ from guider.methods.guider import GuiderConfig
 from guider.methods.view import prepare
 from guider.presets import Preset, guider_config
 from guider.problem import Problem
-from guider.training import compile_chunk, init_seeds, seed_keys
+from guider.training import compile_chunk, init_seeds, no_sums, seed_keys
 
 STAGES = ("latent", "high", "low")
 """Short names of the method's stages, in its order."""
@@ -55,15 +55,16 @@ def trainer(config: GuiderConfig, stage: str, episodes: Episodes, seeds: Sequenc
     data, scale = prepare(config.view, config.problem, episodes)
     keys = seed_keys(seeds)
     state = init_seeds(lambda key: guider.init(config, episodes.spaces, scale, key), seeds)
-    stage_chunk = compile_chunk(guider.stages(config)[index], index)
+    trained = guider.stages(config)[index]
     with jax.default_matmul_precision(config.precision):
-        chunk = stage_chunk.lower(state, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
+        sums = no_sums(trained, state, data, keys)
+        chunk = compile_chunk(trained, index).lower(state, sums, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
     done = 0
 
     def run(updates: int) -> None:
-        nonlocal state, done
+        nonlocal state, sums, done
         first, last = jnp.asarray(done), jnp.asarray(done + updates)
-        state, _ = jax.block_until_ready(chunk(state, data, keys, first, last))
+        state, sums = jax.block_until_ready(chunk(state, sums, data, keys, first, last))
         done += updates
 
     return run

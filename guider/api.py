@@ -80,7 +80,7 @@ def train(
     _check_seeds(seeds)
     cache = _cache(stage_cache, evaluate_every)
     directory = user_path(out) if out else default_directory(task, method, preset)
-    runs.check_new(directory)
+    runs.check_free(directory)
     problem, episodes, config = _settle(
         task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, settings
     )
@@ -216,7 +216,7 @@ def resume(
     cache = _cache(stage_cache, evaluate_every)
     opened = _open(run)
     callback = _with_evaluation(opened.directory, opened.spec, evaluate_every, on_chunk)
-    runs.resume(opened, _same_data(opened, data), callback, pace, cache)
+    runs.resume(opened, lambda: _same_data(opened, data), callback, pace, cache)
     return opened
 
 

@@ -7,6 +7,8 @@ A run is a directory:
     evaluation.json     what `guider evaluate` found last
     checkpoints/        the whole training state, newest two
     plots/              what `guider plot` drew
+    .lock               who trains it, while somebody does (see guider.locks)
+Symbolic links in it are refused: a run from elsewhere must not make us read or write outside it.
 """
 
 from __future__ import annotations
@@ -14,8 +16,14 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
+import shlex
+import shutil
+import signal
 import time
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -28,13 +36,28 @@ import numpy as np
 from guider import checkpoint, stage_cache
 from guider.config import from_dict, to_dict
 from guider.episodes import Episodes, Spaces
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning, Stopped
+from guider.files import (
+    append_line,
+    checked,
+    clear_leftovers,
+    parse_json,
+    read_lines,
+    temporary,
+    walk,
+    write_json,
+    write_text,
+)
+from guider.locks import hold
 from guider.methods import METHODS
 from guider.methods.view import Scale, prepare, unit_scale
 from guider.policy import Policy
+from guider.stopping import on_signals
 from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
-FORMAT = 4
+FORMAT = 5
+LONGEST_PATH = 3800
+"""Bytes of a run's directory; what lies in it has longer names, up to the system's 4096."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +107,16 @@ class Run:
 
     def restore(self) -> tuple[Position, Any] | None:
         """The newest checkpoint, (position, state of all seeds), or None where there is none yet."""
-        return checkpoint.restore(self.directory / "checkpoints", _state_template(self.spec))
+
+        def fits(step: int, position: Position) -> bool:
+            stages = self.stages
+            return (
+                0 <= position.stage < len(stages)
+                and 0 < position.update <= stages[position.stage].updates
+                and step == total_updates(stages, position)
+            )
+
+        return checkpoint.restore(self.directory / "checkpoints", _state_template(self.spec), fits)
 
     def policies(self) -> list[Policy]:
         """The trained policy of every seed. Raises GuiderError while training is unfinished."""
@@ -94,16 +126,21 @@ class Run:
         position, state = restored
         last = self.stages[-1]
         if position != Position(len(self.stages) - 1, last.updates):
-            stage = self.stages[position.stage]
-            raise GuiderError(
-                f"{self.directory} stopped after {position.update} of {stage.updates} updates of the "
-                f"{stage.name} stage; {_finish(self.directory)}"
-            )
+            raise GuiderError(f"{self.directory} stopped {self.progress(position)}; {_finish(self.directory)}")
         return policies(self.spec, state)
+
+    def progress(self, position: Position) -> str:
+        """How far a run at `position` is, in words."""
+        stage = self.stages[position.stage]
+        return f"after {position.update} of {stage.updates} updates of the {stage.name} stage"
 
 
 def _finish(directory: Path) -> str:
-    return f"finish it with `guider train --resume {directory}`"
+    return f"finish it with {_resume(directory)}"
+
+
+def _resume(directory: Path) -> str:
+    return f"`guider train --resume {shlex.quote(str(directory))}`"
 
 
 def policies(spec: RunSpec, state: Any) -> list[Policy]:
@@ -144,37 +181,84 @@ def start(
 ) -> Run:
     """Train a new run from the beginning, but for stages that `cache` knows (see guider.stage_cache).
 
-    facts: what was found about the data, for people to read in run.json. Raises GuiderError if `directory` is taken.
+    facts: what was found about the data, for people to read in run.json. Raises GuiderError if `directory` is taken,
+    Stopped as `resume` does.
     """
-    check_new(directory)
-    run = Run(directory, spec)
+    check_free(directory)
     prepared = _prepare(spec, episodes)
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    temporary = directory.with_name(f".{directory.name}.{os.getpid()}")
-    temporary.mkdir()
-    write_json(temporary / "run.json", {"run_format": FORMAT, **to_dict(spec), "facts": facts, "made_with": versions()})
-    temporary.rename(directory)
-    _train(run, prepared, None, on_chunk, pace, cache)
+    run = Run(directory, spec)
+    new = temporary(directory)
+    with _writing(directory, "choose another --out, or make room there"):
+        try:
+            directory.parent.mkdir(parents=True, exist_ok=True)
+            clear_leftovers(directory.parent, re.escape(directory.name))
+            new.mkdir()
+            about = {"facts": facts, "made_with": versions()}
+            write_json(new / "run.json", {"run_format": FORMAT, **to_dict(spec), **about})
+            check_free(directory)
+            new.rename(directory)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+    with _only_trainer(run):
+        _train(run, prepared, None, on_chunk, pace, cache)
     return run
 
 
-def check_new(directory: Path) -> None:
-    """Raise GuiderError if `directory` is taken."""
-    if directory.exists() or directory.is_symlink():
-        raise GuiderError(
-            f"{directory} exists already and is never overwritten; choose another --out, "
-            f"or continue it with `guider train --resume {directory}`"
-        )
-
-
 def resume(
-    run: Run, episodes: Episodes, on_chunk: Callable[[Chunk, Any], None], pace: Pace, cache: Path | None = None
+    run: Run,
+    episodes: Callable[[], Episodes],
+    on_chunk: Callable[[Chunk, Any], None],
+    pace: Pace,
+    cache: Path | None = None,
 ) -> None:
     """Continue a run from its newest checkpoint, or from the beginning where it has none yet.
 
-    The result is bit-equal to that of an uninterrupted run, if `episodes` are those of the spec's fingerprint.
+    The result is bit-equal to that of an uninterrupted run, if `episodes()` are those of the spec's fingerprint.
+    Raises GuiderError, before any work, while another process trains the run; Stopped where SIGINT or SIGTERM asked
+    for it, once the state is saved.
     """
-    _train(run, _prepare(run.spec, episodes), run.restore(), on_chunk, pace, cache)
+    with _only_trainer(run):
+        restored = run.restore()
+        _train(run, _prepare(run.spec, episodes()), restored, on_chunk, pace, cache)
+
+
+def check_free(directory: Path) -> None:
+    if len(os.fsencode(directory.absolute())) > LONGEST_PATH:
+        raise GuiderError(f"{str(directory)[:40]}... is too long a name for a run; choose another --out")
+    try:
+        os.lstat(directory)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:
+        raise GuiderError(f"{str(directory)[:40]}: no run can be there ({error}); choose another --out") from error
+    raise GuiderError(
+        f"{directory} exists already and is never overwritten; choose another --out, or continue it with "
+        f"{_resume(directory)}"
+    )
+
+
+@contextmanager
+def _only_trainer(run: Run) -> Iterator[None]:
+    """Within, this process alone trains the run; what killed ones left behind is removed."""
+    directory = run.directory
+    with _writing(directory, "make it writable"), ExitStack() as held:
+        held.enter_context(hold(directory / ".lock", f"{directory} is being trained"))
+        _refuse_links(directory)
+        clear_leftovers(directory, r"(?:metrics|evaluations)\.jsonl|evaluation\.json")
+        held = held.pop_all()
+    with held:
+        yield
+
+
+@contextmanager
+def _writing(place: Path, remedy: str) -> Iterator[None]:
+    """Within, what cannot be written is told in a line."""
+    try:
+        yield
+    except OSError as error:
+        reason = f"{error.filename or place}: {error.strerror}" if error.strerror else str(error)
+        raise GuiderError(f"{reason}; {remedy}") from error
 
 
 def _prepare(spec: RunSpec, episodes: Episodes) -> tuple[Any, Any]:
@@ -191,63 +275,118 @@ def _train(
     pace: Pace,
     cache: Path | None,
 ) -> None:
-    """Run the stages, logging every chunk; checkpoints come as `pace` says and at each stage's end."""
+    """Run the stages, logging every chunk; checkpoints come as `pace` says, at each stage's end, and on stopping."""
     spec = run.spec
     data, scale = prepared
     if restored is None:
-        begin = Position(0, 0)
+        reached = Position(0, 0)
         state = init_seeds(_initialiser(spec, scale), spec.seeds)
     else:
-        begin, state = restored
+        reached, state = restored
         state = jax.tree.map(jnp.asarray, state)
     stages = run.stages
-    for name in ("metrics.jsonl", "evaluations.jsonl"):
-        _drop_later_lines(run.directory / name, total_updates(stages, begin))
-    saved_at = time.monotonic()
+    metrics = run.directory / "metrics.jsonl"
+    kept = f"what was saved last stays; once it can be written, go on with {_resume(run.directory)}"
+    with _writing(run.directory, kept):
+        for path in (metrics, run.directory / "evaluations.jsonl"):
+            _drop_later_lines(path, total_updates(stages, reached))
+    saved, saved_at = reached, time.monotonic()
     entry = None  # of the stage being trained, in the cache
+    held = ExitStack()  # the lock of that entry
+    told: set[str] = set()  # whom was waited for
+    asked: list[int] = []  # numbers of the signals that asked training to stop
+
+    def ask(number: int) -> None:
+        """The same signal twice does not wait; a terminal's Ctrl-C and then the SIGTERM of a runner are one wish."""
+        if number in asked:
+            raise Stopped(f"interrupted, not saved since; go on with {_resume(run.directory)}", number)
+        asked.append(number)
+
+    def stopped() -> Stopped:
+        return Stopped(f"interrupted {run.progress(reached)}; go on with {_resume(run.directory)}", asked[0])
+
+    def save(state: Any) -> None:
+        nonlocal saved, saved_at
+        with _writing(run.directory, kept):
+            checkpoint.save(run.directory / "checkpoints", total_updates(stages, reached), reached, state)
+        saved, saved_at = reached, time.monotonic()
+
+    def wait(message: str) -> None:
+        if asked:
+            raise stopped()
+        if message not in told:
+            warnings.warn(GuiderWarning(f"{message}; waiting to take it over"), stacklevel=2)
+            told.add(message)
 
     def known(index: int, state: Any) -> Any:
         """What the cache has of a stage, entered into the run as if it had been trained here."""
-        nonlocal entry
+        nonlocal reached, entry
+        reached = Position(index, 0)
         if cache is None:
             return None
         stage, part = stages[index], getattr(state, stages[index].part)
+        end = Position(index, stage.updates)
         entry = cache / stage_cache.stage_digest(stage, index, state, data, spec.seeds, versions())
-        found = stage_cache.find(entry, part)
+        with _writing(cache, "make it writable, or leave --stage-cache out"):
+            held.enter_context(stage_cache.training(entry, wait))
+        found = stage_cache.find(entry, end, part)
         if found is None:
             return None
+        held.close()
         part, lines = found
-        before, end = total_updates(stages, Position(index, 0)), Position(index, stage.updates)
-        for line in lines:
-            append_line(run.directory / "metrics.jsonl", line | {"total_updates": before + line["update"]})
-        whole = state._replace(**{stage.part: part})
-        checkpoint.save(run.directory / "checkpoints", total_updates(stages, end), end, whole)
+        with _writing(run.directory, kept):
+            for line in lines:
+                total = total_updates(stages, Position(index, line["update"]))
+                append_line(metrics, line | {"total_updates": total})
+        reached = end
+        save(state._replace(**{stage.part: part}))
         return jax.tree.map(jnp.asarray, part)
 
     def record(chunk: Chunk, state: Any) -> None:
-        nonlocal saved_at
-        total = total_updates(stages, chunk.position)
+        nonlocal reached
         _check_finite(run, chunk)
+        reached = chunk.position
         line = {
             "stage": chunk.stage.name,
-            "update": chunk.position.update,
-            "total_updates": total,
+            "update": reached.update,
+            "total_updates": total_updates(stages, reached),
             "seconds": round(chunk.seconds, 4),
             "metrics": {name: np.asarray(value).tolist() for name, value in chunk.metrics.items()},
         }
-        append_line(run.directory / "metrics.jsonl", line)
+        with _writing(run.directory, kept):
+            append_line(metrics, line)
         on_chunk(chunk, state)
-        stage_ends = chunk.position.update == chunk.stage.updates
+        stage_ends = reached.update == chunk.stage.updates
         if stage_ends or time.monotonic() - saved_at > pace.checkpoint_seconds:
-            checkpoint.save(run.directory / "checkpoints", total, chunk.position, state)
-            saved_at = time.monotonic()
+            save(state)
         if stage_ends and entry is not None:
-            lines = [line for line in read_lines(run.directory / "metrics.jsonl") if line["stage"] == chunk.stage.name]
-            stage_cache.keep(entry, chunk.position, getattr(state, chunk.stage.part), lines)
+            lines = [line for line in read_lines(metrics) if line["stage"] == chunk.stage.name]
+            try:
+                stage_cache.keep(entry, reached, getattr(state, chunk.stage.part), lines)
+            except OSError as error:
+                warnings.warn(GuiderWarning(f"{entry} is not kept for other runs: {error}"), stacklevel=2)
+            held.close()
 
-    chunk_updates = pace.chunk_updates
-    with jax.default_matmul_precision(spec.config.precision):
-        train(stages, state, data, spec.seeds, start=begin, chunk_updates=chunk_updates, on_chunk=record, known=known)
+    with (
+        held,
+        on_signals(ask, signal.SIGINT, signal.SIGTERM),
+        jax.default_matmul_precision(spec.config.precision),
+    ):
+        state = train(
+            stages,
+            state,
+            data,
+            spec.seeds,
+            start=reached,
+            chunk_updates=pace.chunk_updates,
+            on_chunk=record,
+            known=known,
+            stop=lambda: bool(asked),
+        )
+        if asked and reached != Position(len(stages) - 1, stages[-1].updates):
+            if reached != saved:
+                save(state)
+            raise stopped()
 
 
 def _check_finite(run: Run, chunk: Chunk) -> None:
@@ -266,14 +405,16 @@ def open_run(directory: str | Path) -> Run:
     directory = Path(directory)
     path = directory / "run.json"
     try:
-        values = json.loads(path.read_text())
-    except FileNotFoundError:
+        values = parse_json(path)
+        _refuse_links(directory)
+    except (FileNotFoundError, NotADirectoryError):
         raise GuiderError(f"{directory} is not a run: it has no run.json") from None
-    except (OSError, ValueError) as error:
-        raise GuiderError(f"{path} cannot be read: {error}") from error
-    if not isinstance(values, dict) or values.pop("run_format", None) != FORMAT:
+    except OSError as error:
+        raise GuiderError(f"{path} cannot be read: {error.strerror}") from error
+    if values.get("run_format") != FORMAT:
         raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
-    for name in ("made_with", "facts"):
+    values = checked(path, values, "put the original back, or train the run anew")
+    for name in ("run_format", "made_with", "facts"):
         values.pop(name, None)
     method = values.get("method")
     if not isinstance(method, str) or method not in METHODS:
@@ -288,30 +429,10 @@ def total_updates(stages: Sequence[Any], position: Position) -> int:
     return sum(stage.updates for stage in stages[: position.stage]) + position.update
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """All complete lines of a JSONL file; a line cut off by a crash is left out."""
-    if not path.exists():
-        return []
-    lines = []
-    for text in path.read_text().splitlines():
-        try:
-            lines.append(json.loads(text))
-        except ValueError:
-            continue
-    return lines
-
-
-def append_line(path: Path, value: dict[str, Any]) -> None:
-    """Add one line to a JSONL file."""
-    with path.open("a") as file:
-        file.write(json.dumps(value) + "\n")
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON under a temporary name, then rename: readers see the old file or the new one, never half."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(value, indent=1) + "\n")
-    temporary.replace(path)
+def _refuse_links(directory: Path) -> None:
+    """Raise GuiderError where anything in a run is a symbolic link, or neither file nor folder."""
+    for _ in walk(directory):
+        pass
 
 
 def versions() -> dict[str, str]:
@@ -330,9 +451,7 @@ def _drop_later_lines(path: Path, total: int) -> None:
     """Forget lines written after the checkpoint that training continues from."""
     if path.exists():
         kept = [line for line in read_lines(path) if line["total_updates"] <= total]
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
-        temporary.replace(path)
+        write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
 
 
 def _initialiser(spec: RunSpec, scale: Scale) -> Callable[[jax.Array], Any]:

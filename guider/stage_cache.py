@@ -5,16 +5,17 @@ stage depends on is read off the program of its update, not declared: another ru
 program and inputs are equal to the bit, and so is then the result.
 
 Below the cache's directory, DIGEST/ holds a checkpoint of what the stage trained, and its lines of metrics.jsonl.
-Entries may be removed at any time.
+Entries may be removed at any time; a damaged one is trained anew.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,9 @@ import numpy as np
 from jax.extend.core import Var
 
 from guider import checkpoint
+from guider.errors import GuiderError, GuiderWarning
+from guider.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
+from guider.locks import hold
 from guider.training import Position, Stage
 
 PyTree = Any
@@ -48,22 +52,40 @@ def stage_digest(
     return digest.hexdigest()
 
 
-def find(entry: Path, part: PyTree) -> tuple[PyTree, list[dict[str, Any]]] | None:
-    """What the stage of this entry trained, in the shape of `part`, and its metrics; None where there is no entry."""
+def find(entry: Path, end: Position, part: PyTree) -> tuple[PyTree, list[dict[str, Any]]] | None:
+    """What the stage of this entry trained up to `end`, in the shape of `part`, and its metrics.
+
+    None where there is no entry, and, with a GuiderWarning, where it is damaged.
+    """
     template = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), part)
-    restored = checkpoint.restore(entry, template)
-    return restored and (restored[1], json.loads((entry / "metrics.json").read_text()))
+    try:
+        restored = checkpoint.restore(entry, template, lambda step, position: (step, position) == (end.update, end))
+        lines = read_json(entry / "metrics.json", "remove the entry").get("lines") if restored else []
+        if not isinstance(lines, list) or not all(is_line("metrics.jsonl", line) for line in lines):
+            raise GuiderError(f"{entry / 'metrics.json'} holds no lines of metrics.jsonl")
+    except (GuiderError, OSError) as error:
+        warnings.warn(GuiderWarning(f"{entry} is damaged, its stage is trained anew: {error}"), stacklevel=2)
+        return None
+    return restored and (restored[1], lines)
 
 
 def keep(entry: Path, position: Position, part: PyTree, metrics: list[dict[str, Any]]) -> None:
-    """Remember what a stage trained. Where another run has just done so, its entry stays."""
-    temporary = entry.with_name(f".{entry.name}.{os.getpid()}")
-    temporary.mkdir(parents=True)
-    (temporary / "metrics.json").write_text(json.dumps(metrics))
-    checkpoint.save(temporary, position.update, position, part)
+    """Remember what a stage trained, in place of a damaged entry. Raises OSError where that fails."""
+    new = temporary(entry)
     try:
-        temporary.rename(entry)
+        checkpoint.save(new, position.update, position, part)
+        write_json(new / "metrics.json", {"lines": metrics})
+        remove(entry)
+        new.rename(entry)
     except OSError:
-        if not entry.exists():
-            raise
-        shutil.rmtree(temporary)
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+
+
+@contextmanager
+def training(entry: Path, waiting: Callable[[str], None]) -> Iterator[None]:
+    """Within, no other process trains the stage of this entry. While one does, `waiting` is told again and again."""
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    with hold(entry.with_name(f".{entry.name}.lock"), f"the stage of {entry} is being trained", waiting):
+        clear_leftovers(entry.parent, entry.name)
+        yield

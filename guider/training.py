@@ -13,6 +13,9 @@ import jax.numpy as jnp
 PyTree = Any
 Metrics = dict[str, jax.Array]
 
+SLICE_SECONDS = 1.0
+"""How long training goes on before it looks whether it is to stop."""
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -63,16 +66,15 @@ def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyT
 
 
 def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:
-    """run(state, data, keys, first, last) -> (state, mean metrics): updates first <= u < last for every seed.
+    """run(state, sums, data, keys, first, last) -> (state, sums): updates first <= u < last for every seed.
 
-    Update u of a seed draws from fold_in(fold_in(key, stage_index), u), and the loop's bounds are arguments
-    of one compiled program; so how training is cut into chunks never matters, to the bit.
+    sums: of every metric over the updates so far, see `no_sums`; state and sums are consumed. Update u of a seed draws
+    from fold_in(fold_in(key, stage_index), u), sums are carried on, and the loop's bounds are arguments of one compiled
+    program; so how training is cut never matters, to the bit.
     """
 
-    def one_seed(state, data, key, first, last):
+    def one_seed(state, sums, data, key, first, last):
         stage_key = jax.random.fold_in(key, stage_index)
-        metric_shapes = jax.eval_shape(stage.update, state, data, key)[1]
-        zeros = jax.tree.map(lambda m: jnp.zeros(m.shape, m.dtype), metric_shapes)
 
         def body(update, carry):
             part, sums = carry
@@ -80,10 +82,16 @@ def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:
             part, metrics = stage.update(whole, data, jax.random.fold_in(stage_key, update))
             return part, jax.tree.map(jnp.add, sums, metrics)
 
-        part, sums = jax.lax.fori_loop(first, last, body, (getattr(state, stage.part), zeros))
-        return state._replace(**{stage.part: part}), jax.tree.map(lambda s: s / (last - first), sums)
+        part, sums = jax.lax.fori_loop(first, last, body, (getattr(state, stage.part), sums))
+        return state._replace(**{stage.part: part}), sums
 
-    return jax.jit(jax.vmap(one_seed, in_axes=(0, None, 0, None, None)), donate_argnums=0)
+    return jax.jit(jax.vmap(one_seed, in_axes=(0, 0, None, 0, None, None)), donate_argnums=(0, 1))
+
+
+def no_sums(stage: Stage, state: PyTree, data: PyTree, keys: jax.Array) -> Metrics:
+    """What a chunk's sums of metrics begin with: zeros, name -> [seeds]."""
+    shapes = jax.eval_shape(jax.vmap(stage.update, in_axes=(0, None, 0)), state, data, keys)[1]
+    return jax.tree.map(lambda metric: jnp.zeros(metric.shape, metric.dtype), shapes)
 
 
 def train(
@@ -96,12 +104,14 @@ def train(
     chunk_updates: int = 1000,
     on_chunk: Callable[[Chunk, PyTree], None] = lambda chunk, state: None,
     known: Callable[[int, PyTree], PyTree | None] = lambda index, state: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> PyTree:
-    """Run all stages from `start` to the end and return the final state.
+    """Run all stages from `start` to the end, or until `stop` says so, and return the state then.
 
     state: leaves [seeds, ...] (see `init_seeds`); it is consumed. on_chunk sees the state between chunks, and
     must copy what it keeps: the next chunk reuses the memory. Chunks end at multiples of `chunk_updates`.
-    known is asked before a stage begins, and gives what it would train where that is known already.
+    known is asked before a stage begins, and gives what it would train where that is known already. stop is asked about
+    every second: the chunk then ends early, and is the last.
     """
     keys = seed_keys(seeds)
     for index in range(start.stage, len(stages)):
@@ -110,13 +120,21 @@ def train(
         if done == 0 and (part := known(index, state)) is not None:
             state = state._replace(**{stage.part: part})
             continue
-        run = compile_chunk(stage, index).lower(state, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
+        sums = no_sums(stage, state, data, keys)
+        run = compile_chunk(stage, index).lower(state, sums, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
+        slice_updates = 1
         while done < stage.updates:
-            last = min(stage.updates, (done // chunk_updates + 1) * chunk_updates)
-            began = time.perf_counter()
-            state, metrics = run(state, data, keys, jnp.asarray(done), jnp.asarray(last))
-            metrics = jax.device_get(metrics)
-            chunk = Chunk(stage, Position(index, last), metrics, last - done, time.perf_counter() - began)
-            done = last
-            on_chunk(chunk, state)
+            first, last = done, min(stage.updates, (done // chunk_updates + 1) * chunk_updates)
+            sums, seconds = no_sums(stage, state, data, keys), 0.0
+            while done == first or (done < last and not stop()):
+                until = min(last, done + slice_updates)
+                began = time.perf_counter()
+                state, sums = jax.block_until_ready(run(state, sums, data, keys, jnp.asarray(done), jnp.asarray(until)))
+                took = max(time.perf_counter() - began, 1e-6)
+                slice_updates = max(1, min(10 * slice_updates, int((until - done) * SLICE_SECONDS / took)))
+                done, seconds = until, seconds + took
+            means = jax.device_get(jax.tree.map(lambda total, n=done - first: total / n, sums))
+            on_chunk(Chunk(stage, Position(index, done), means, done - first, seconds), state)
+            if stop():
+                return state
     return state

@@ -19,6 +19,7 @@ import pytest
 from guider import runs
 from guider.cli import main
 from guider.errors import GuiderError
+from guider.locks import hold
 from guider.reproduce import figures, paper, plans, report, runner
 from guider.reproduce.plans import Plan, PlannedRun, Protocol, make_plan
 from guider.tasks import find_task
@@ -104,7 +105,8 @@ def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, .
     }
     runs.write_json(directory / "evaluation.json", result | facts)
     for seconds in (30.0, 60.0):
-        runs.append_line(directory / "metrics.jsonl", {"seconds": seconds})
+        line = {"stage": "goal policy", "update": 500, "total_updates": 500, "seconds": seconds, "metrics": {}}
+        runs.append_line(directory / "metrics.jsonl", line)
     for index, share in enumerate(curve, start=1):
         line = {"total_updates": 500 * index, "score": [share * score for score in scores], "episodes": 20}
         runs.append_line(directory / "evaluations.jsonl", line)
@@ -279,6 +281,28 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
             [line | {"seconds": 0} for line in runs.read_lines(folder / name)] for folder in (run, uninterrupted)
         )
         assert ours == theirs
+
+
+def test_a_signal_ends_the_runs_too_which_save_first(made, tmp_path):
+    """SIGTERM to the runner alone, in the middle of a stage that would take hours."""
+    out = tmp_path / "out"
+    arguments = [*command("table1", made, "--tasks", TASK, "--out", str(out)), "low.updates=1000000000"]
+    arguments.remove("low.updates=3000")
+    process = subprocess.Popen([sys.executable, "-m", "guider", *arguments], stderr=subprocess.PIPE, text=True)
+    run = out / "runs" / TASK / "guider-fast"
+    deadline = time.monotonic() + 120
+    while not any(line["stage"] == "goal policy" for line in runs.read_lines(run / "metrics.jsonl")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate()
+    assert process.returncode == 128 + signal.SIGTERM and "interrupted; what is done is kept, and `guider" in error
+    log = (out / "logs" / f"{TASK}-guider-fast.log").read_text()
+    assert "of 1000000000 updates of the goal policy stage; go on with" in log
+    restored = runs.open_run(run).restore()
+    assert restored is not None and restored[0].stage == 2 and restored[0].update > 0
+    with hold(out / ".lock", "nobody is left that holds it"):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 from conftest import make_ragged
 from test_runs import OWN, SETTINGS, assert_bit_equal, write_plain
 
 import guider
-from guider import runs
+from guider import locks, runs, stage_cache
 from guider.config import override
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
 from guider.methods.view import prepare
 from guider.stage_cache import stage_digest
-from guider.training import init_seeds
+from guider.training import Position, init_seeds
 
 STAGES = ["latent subgoals", "subgoal policy", "goal policy"]
 
@@ -66,6 +69,70 @@ def test_an_interrupted_run_takes_over_what_others_have_trained_since(shared, tm
     resumed = guider.resume(tmp_path / "run", stage_cache=cache, on_chunk=lambda chunk, _: trained.append(chunk))
     assert not trained
     assert_bit_equal(resumed, whole)
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda entry: (entry / "metrics.json").write_text((entry / "metrics.json").read_text()[:-9]),
+        lambda entry: flip(entry / "metrics.json"),
+        lambda entry: runs.write_json(entry / "metrics.json", {"lines": [{"stage": "goal policy"}]}),
+        lambda entry: (entry / "metrics.json").unlink(),
+        lambda entry: next(entry.glob("*/manifest.json")).unlink(),
+    ],
+)
+def test_a_damaged_entry_is_told(tmp_path, damage):
+    part = {"weight": np.ones(3, np.float32)}
+    line = {"stage": "goal policy", "update": 7, "total_updates": 7, "seconds": 0.1, "metrics": {"loss": [1.0]}}
+    end = Position(0, 7)
+    stage_cache.keep(tmp_path / "entry", end, part, [line])
+    found = stage_cache.find(tmp_path / "entry", end, part)
+    assert found is not None and found[0]["weight"].tolist() == [1, 1, 1] and found[1] == [line]
+    damage(tmp_path / "entry")
+    with pytest.warns(GuiderWarning, match="entry is damaged, its stage is trained anew"):
+        assert stage_cache.find(tmp_path / "entry", end, part) is None
+
+
+def test_a_damaged_entry_is_trained_anew_and_replaced(shared, tmp_path):
+    logs, cache, whole = shared
+    shutil.copytree(cache, tmp_path / "cache")
+    entry = next(entry for entry in (tmp_path / "cache").iterdir() if list(entry.glob("12")))
+    flip(max(entry.glob("*/state/*/0*"), key=lambda path: path.stat().st_size))
+    with pytest.warns(GuiderWarning, match=rf"{entry} is damaged, its stage is trained anew: .* not as it was written"):
+        run, trained = train(logs, tmp_path / "run", stage_cache=tmp_path / "cache")
+    assert trained == ["goal policy"]
+    assert_bit_equal(run, whole)
+    _, trained = train(logs, tmp_path / "again", stage_cache=tmp_path / "cache")
+    assert trained == []
+
+
+def test_a_stage_that_another_trains_is_waited_for(shared, tmp_path, monkeypatch):
+    """The other ends while we wait; then what it trained is taken over."""
+    logs, cache, whole = shared
+    shutil.copytree(cache, tmp_path / "cache")
+    entry = next(entry for entry in (tmp_path / "cache").iterdir() if list(entry.glob("12")))
+    entry.rename(tmp_path / "done")
+    other = stage_cache.training(entry, lambda message: None)
+    other.__enter__()
+
+    def sleep(seconds: float) -> None:
+        if not entry.exists():
+            (tmp_path / "done").rename(entry)
+        else:
+            other.__exit__(None, None, None)
+
+    monkeypatch.setattr(locks.time, "sleep", sleep)
+    with pytest.warns(GuiderWarning) as told:
+        run, trained = train(logs, tmp_path / "run", stage_cache=tmp_path / "cache")
+    assert trained == [] and len(told) == 1
+    assert f"the stage of {entry} is being trained (process {os.getpid()} on" in str(told[0].message)
+    assert_bit_equal(run, whole)
 
 
 def test_a_stage_is_known_by_what_it_reads(fast_config, ragged):

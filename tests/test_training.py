@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from guider import training
 from guider.methods import METHODS
 from guider.methods.view import prepare
 from guider.training import Position, Stage, init_seeds, seed_keys, train
@@ -72,6 +73,29 @@ def test_training_starts_where_it_is_told():
         on_chunk=lambda chunk, state: seen.append(chunk.updates),
     )
     assert state.total.tolist() == [4.0] and seen == [1, 3]
+
+
+def test_slicing_never_matters_to_the_bit(ragged, fast_config, monkeypatch):
+    """One update at a time, or all of a chunk at once: parameters and metrics are equal."""
+
+    def trained(seconds: float):
+        monkeypatch.setattr(training, "SLICE_SECONDS", seconds)
+        seen = []
+        state = train_guider(fast_config, ragged, (0, 1), on_chunk=lambda chunk, state: seen.append(chunk.metrics))
+        return state, seen
+
+    assert equal(trained(0.0), trained(1e9))
+
+
+def test_training_stops_when_told_and_goes_on_from_there():
+    asked, seen = iter([False, True, True]), []
+    stages = [counting_stage("one", 10**6), counting_stage("two", 3)]
+    arguments = counts(1), jnp.asarray(1.0)
+    state = train(
+        stages, *arguments, (0,), chunk_updates=10**6, on_chunk=lambda c, _: seen.append(c), stop=lambda: next(asked)
+    )
+    (chunk,) = seen
+    assert chunk.position == Position(0, 11) and chunk.updates == 11 and state.total.tolist() == [11.0]
 
 
 def test_chunking_never_matters_to_the_bit(ragged, fast_config):

@@ -10,10 +10,9 @@ Below OUT:
 
 from __future__ import annotations
 
-import fcntl
-import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -27,8 +26,11 @@ import numpy as np
 
 from guider import data as data_sources
 from guider import runs
-from guider.errors import GuiderError
+from guider.errors import GuiderError, Stopped
+from guider.files import parse_line, read_json
+from guider.locks import hold
 from guider.reproduce.plans import Plan, PlannedRun, file_name
+from guider.stopping import on_signals
 from guider.tasks import find_task
 from guider.tasks.simulation import available_cores
 
@@ -69,7 +71,7 @@ def state(plan: Plan, run: PlannedRun) -> State:
     asked = _request_path(plan, run)
     if not asked.exists():
         raise GuiderError(f"{directory} was not made by `guider reproduce` (no {asked.name}); choose another --out")
-    _check_same(directory, _read_json(asked), run.request(), "choose another --out")
+    _check_same(directory, read_json(asked, f"remove it and {directory}"), run.request(), "choose another --out")
     path = directory / "evaluation.json"
     if not path.exists():
         return "interrupted"
@@ -94,14 +96,15 @@ def _states(plan: Plan) -> dict[str, State]:
 
 def evaluation(plan: Plan, run: PlannedRun) -> dict[str, Any]:
     """What `guider evaluate` wrote for a run that is done."""
-    return _read_json(plan.directory(run) / "evaluation.json")
+    path = plan.directory(run) / "evaluation.json"
+    return read_json(path, "remove it to have the run evaluated again")
 
 
 def write_plan(plan: Plan) -> Path:
     """Put the plan into OUT/plan.json, in place of an earlier one of the same table or figure, and return its path."""
     path = plan.protocol.out / "plan.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    plans = _read_json(path) if path.exists() else {}
+    plans = read_json(path, "remove it, and it is made anew") if path.exists() else {}
     runs.write_json(path, plans | {plan.name: describe(plan)})
     return path
 
@@ -131,16 +134,35 @@ def execute(plan: Plan, jobs: int = 1, watch: Watch = SILENT) -> list[Failure]:
     """Bring every run of the plan to its end, `jobs` at a time, and return those that failed.
 
     Nothing starts, and GuiderError is raised, where a run's directory holds another run, where data is missing that
-    cannot be recorded here, or while another runner is at work in the same directory.
+    cannot be recorded here, or while another runner is at work in the same directory. On SIGTERM and Ctrl-C the
+    processes that were started are asked to end, and waited for, before Stopped is raised; a second one does not wait.
     """
     cores = available_cores()
     if not 1 <= jobs <= cores:
         raise GuiderError(f"--jobs must lie between 1 and {cores}, the cores there are, got {jobs}")
-    with _only_runner(plan.protocol.out) as lock:
+    out = plan.protocol.out
+    out.mkdir(parents=True, exist_ok=True)
+
+    asked: list[int] = []
+
+    def stopped(number: int) -> Stopped:
+        return Stopped(f"interrupted; what is done is kept, and `{plan.command()}` goes on", number)
+
+    def ask(number: int) -> None:
+        if asked:
+            raise stopped(number)
+        asked.append(number)
+
+    # The lock goes to every process that is started: one that outlives this one, which was killed, keeps it.
+    busy = f"another `guider reproduce`, or a run it started, is still at work in {out}"
+    with on_signals(ask, signal.SIGINT, signal.SIGTERM), hold(out / ".lock", busy) as lock:
         states = _states(plan)
         _check_data(plan, states)
         write_plan(plan)
-        return _Runner(plan, states, jobs, lock, watch).work()
+        failures = _Runner(plan, states, jobs, lock, watch, lambda: bool(asked)).work()
+    if asked:
+        raise stopped(asked[0])
+    return failures
 
 
 @dataclass
@@ -156,13 +178,14 @@ class _Job:
 
 @dataclass
 class _Runner:
-    """The loop of `execute`. lock: file descriptor that every process keeps open."""
+    """The loop of `execute`. lock: file descriptor that every process keeps open; stop: whether to end early."""
 
     plan: Plan
     states: dict[str, State]
     jobs: int
     lock: int
     watch: Watch
+    stop: Callable[[], bool]
     failures: list[Failure] = field(default_factory=list)
 
     def work(self) -> list[Failure]:
@@ -173,7 +196,7 @@ class _Runner:
         shares = [set(share.tolist()) for share in np.array_split(_own_cores(), self.jobs)]
         active: list[_Job] = []
         try:
-            while waiting or active:
+            while (waiting or active) and not self.stop():
                 while waiting and shares:
                     active.append(self._begin(waiting.pop(0), shares.pop()))
                 time.sleep(POLL_SECONDS)
@@ -206,9 +229,13 @@ class _Runner:
             log = self._log_path(f"data-{file_name(task)}")
             process = self._start(_collect(self.plan, task), log, set(_own_cores()))
             try:
-                code = process.wait()
+                while process.poll() is None and not self.stop():
+                    time.sleep(POLL_SECONDS)
             finally:
                 process.terminate()
+                code = process.wait()
+            if self.stop():
+                return
             if code:
                 for run in self.plan.runs:
                     if run.task == task and self.states[run.name] != "done":
@@ -331,24 +358,9 @@ def _last_metrics(path: Path) -> dict[str, Any] | None:
         with path.open("rb") as file:
             file.seek(max(0, path.stat().st_size - 2**16))
             lines = file.read().split(b"\n")
-        return json.loads(lines[-2])
-    except (FileNotFoundError, IndexError, ValueError):
+        return parse_line(path.name, lines[-2])
+    except (FileNotFoundError, IndexError):
         return None
-
-
-@contextmanager
-def _only_runner(out: Path) -> Iterator[int]:
-    """The lock of `out`, as a file descriptor. It is free again once this process, and all that got it, have ended.
-
-    Raises GuiderError while others hold it.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise GuiderError(f"another `guider reproduce`, or a run it started, is still at work in {out}") from None
-        yield file.fileno()
 
 
 def _own_cores() -> list[int]:
@@ -373,13 +385,6 @@ def _on_cores(cores: set[int]) -> Iterator[None]:
 def _request_path(plan: Plan, run: PlannedRun) -> Path:
     directory = plan.directory(run)
     return directory.with_name(f"{directory.name}.json")
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise GuiderError(f"{path} cannot be read: {error}") from error
 
 
 def _last_line(log: Path) -> str:
