@@ -17,9 +17,9 @@ from guider.config import differences, override
 from guider.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
+from guider.files import user_path
 from guider.heldout import held_out_scores
 from guider.methods.view import check_radius, data_use, learned_windows
-from guider.paths import user_path
 from guider.policy import Agent, Policy
 from guider.presets import Preset, preset_config
 from guider.problem import Problem

@@ -26,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from guider.errors import GuiderError, GuiderWarning, Stopped
-from guider.paths import user_path
+from guider.files import user_path
 from guider.presets import Preset
 from guider.reproduce.paper import TargetName
 
@@ -303,6 +303,7 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
     from guider.data.write import check_destination, write_d4rl, write_minari
     from guider.tasks import find_task
 
+    out = user_path(out)
     found = find_task(task)
     if found.collector is None:
         raise GuiderError(f"{task} cannot be collected here; its data comes from files ({found.source}): --data FILE")
@@ -371,7 +372,7 @@ def reproduce(
     from guider.reproduce import report, runner
     from guider.reproduce.plans import Protocol, make_plan
 
-    protocol = Protocol(preset, seeds, first_seed, episodes, _assignments(set), data, out)
+    protocol = Protocol(preset, seeds, first_seed, episodes, _assignments(set), user_path(data), user_path(out))
     plan = make_plan(target, protocol, tasks, methods)
     if dry_run:
         described = runner.describe(plan)

@@ -19,7 +19,7 @@ from guider.data.store import Recording, Store, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError, GuiderWarning, names_like
-from guider.paths import user_path
+from guider.files import user_path
 
 __all__ = ["FORMATS", "describe", "load"]
 

@@ -26,6 +26,7 @@ from guider.data.catalogue import MINARI_PREFIX, Dataset, RemoteFile
 from guider.data.safety import check_minari, size_text
 from guider.data.store import open_store
 from guider.errors import GuiderError
+from guider.files import user_path
 
 Report = Callable[[int, int | None], None]
 """report(done, total): progress in bytes; total is None where the server does not say."""
@@ -79,8 +80,8 @@ class _PlaceError(Exception):
 def cache_directory() -> Path:
     """Where fetched files are kept: GUIDER_DATA, else `guider` in the user's cache folder."""
     if chosen := os.environ.get("GUIDER_DATA"):
-        return Path(chosen).expanduser()
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "guider"
+        return user_path(chosen)
+    return user_path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "guider"
 
 
 def fetch(
@@ -109,7 +110,7 @@ def fetch(
         return [_fetch_minari(dataset.name.removeprefix(MINARI_PREFIX))]
     if mirror is not None and not mirror.startswith(("http://", "https://")):
         raise GuiderError(f"--mirror must be the http or https URL of a folder, not {mirror!r}")
-    directory = cache_directory() if directory is None else directory.expanduser()
+    directory = cache_directory() if directory is None else user_path(directory)
     try:
         return [_fetch_file(file, directory, mirror, report, patience) for file in dataset.files]
     except OSError as error:  # the network's are told apart where they happen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from guider.data.safety import MAIN_FILE, METADATA_FILE, check_minari
 from guider.data.store import Recording
 from guider.episodes import EndSign, check_goal_indices
 from guider.errors import GuiderError
+from guider.files import user_path
 from guider.goals import goal_entries
 
 
@@ -52,6 +54,8 @@ def read_minari(source: str, location: str | Path, goal_indices: tuple[int, ...]
 
 
 def _installed(source: str, dataset_id: str) -> Path:
+    if "MINARI_DATASETS_PATH" not in os.environ:
+        user_path("~")  # without a home, Minari would make a folder called ~ here
     from minari.storage.datasets_root_dir import get_dataset_path
 
     directory = get_dataset_path(dataset_id) / "data"

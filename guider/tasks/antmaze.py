@@ -19,6 +19,7 @@ import numpy as np
 from guider.collect.ant_walker import walk
 from guider.collect.waypoints import Recipe, record
 from guider.errors import GuiderError
+from guider.files import user_path
 from guider.tasks.mazes import Maze, make_maze, read_maze
 from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
@@ -129,7 +130,7 @@ def custom_task(file: str) -> Task:
 
     It may take 100 steps per cell of the shortest way, as in D4RL's medium maze, and at least 700.
     """
-    maze = read_maze(Path(file), CELL_SIZE_M)
+    maze = read_maze(user_path(file), CELL_SIZE_M)
     return _task(
         f"antmaze:{file}",
         maze,

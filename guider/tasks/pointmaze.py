@@ -10,11 +10,11 @@ elsewhere belongs to it.
 from __future__ import annotations
 
 from functools import cache, partial
-from pathlib import Path
 
 import numpy as np
 
 from guider.collect.waypoints import Recipe, record
+from guider.files import user_path
 from guider.tasks.mazes import Cell, Maze, make_maze, read_maze
 from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
@@ -107,7 +107,7 @@ def _near(maze: Maze, cell: Cell | np.ndarray, offset_m: float, rng: np.random.G
 
 def custom_task(file: str) -> Task:
     """The ball in the maze drawn in a text file (see read_maze), 1 m to a cell."""
-    return _task(f"pointmaze:{file}", read_maze(Path(file), CELL_SIZE_M))
+    return _task(f"pointmaze:{file}", read_maze(user_path(file), CELL_SIZE_M))
 
 
 def _task(name: str, maze: Maze) -> Task:
