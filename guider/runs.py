@@ -43,6 +43,7 @@ from guider.files import (
     clear_leftovers,
     parse_json,
     read_lines,
+    shortened,
     temporary,
     walk,
     write_json,
@@ -176,7 +177,7 @@ def start(
     with _writing(directory, "choose another --out, or make room there"):
         try:
             directory.parent.mkdir(parents=True, exist_ok=True)
-            clear_leftovers(directory.parent, re.escape(directory.name))
+            clear_leftovers(directory.parent, re.escape(shortened(directory.name)))
             new.mkdir()
             write_json(new / "run.json", {"run_format": FORMAT, **to_dict(spec), "made_with": versions()})
             _check_free(directory)
