@@ -179,8 +179,12 @@ def append_line(path: Path, values: dict[str, Any]) -> None:
 
 def temporary(path: Path) -> Path:
     """A name beside `path` for what this process has not finished writing."""
-    name = os.fsencode(path.name)[:200].decode(errors="ignore")
-    return path.with_name(f".{name}.{os.getpid()}")
+    return path.with_name(f".{shortened(path.name)}.{os.getpid()}")
+
+
+def shortened(name: str) -> str:
+    """So much of a name that there is room for more in the 255 bytes that a name may have."""
+    return os.fsdecode(os.fsencode(name)[:200])
 
 
 def clear_leftovers(folder: Path, name: str) -> None:

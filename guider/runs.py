@@ -43,6 +43,7 @@ from guider.files import (
     clear_leftovers,
     parse_json,
     read_lines,
+    shortened,
     temporary,
     walk,
     write_json,
@@ -191,7 +192,7 @@ def start(
     with _writing(directory, "choose another --out, or make room there"):
         try:
             directory.parent.mkdir(parents=True, exist_ok=True)
-            clear_leftovers(directory.parent, re.escape(directory.name))
+            clear_leftovers(directory.parent, re.escape(shortened(directory.name)))
             new.mkdir()
             about = {"facts": facts, "made_with": versions()}
             write_json(new / "run.json", {"run_format": FORMAT, **to_dict(spec), **about})
