@@ -225,6 +225,7 @@ def resume(
 
 
 def check_free(directory: Path) -> None:
+    """Raise GuiderError where no new run can be: something is there, or the system takes no such name."""
     if len(os.fsencode(directory.absolute())) > LONGEST_PATH:
         raise GuiderError(f"{str(directory)[:40]}... is too long a name for a run; choose another --out")
     try:
