@@ -68,7 +68,10 @@ def run(name: str, seed: int, numbers: range, workers: int) -> Result:
 
 def table(results: list[Result]) -> str:
     """One row per drill."""
-    rows = [f"| drill | trials | outcomes | {' | '.join(FAULTS)} | seconds |", "|---|---|---|" + "---|" * (len(FAULTS) + 1)]
+    rows = [
+        f"| drill | trials | outcomes | {' | '.join(FAULTS)} | seconds |",
+        "|---|---|---|" + "---|" * (len(FAULTS) + 1),
+    ]
     for result in results:
         outcomes = ", ".join(f"{count} {what}" for what, count in result.outcomes.most_common())
         faults = " | ".join(f"**{result.faults[kind]}**" if result.faults[kind] else "0" for kind in FAULTS)
@@ -109,8 +112,12 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=min(2, _cores()), help="trials at a time")
     asked = parser.parse_args()
     results: list[Result] = []
-    compiled = tempfile.TemporaryDirectory(prefix="guider-drills-compiled-")  # programs are compiled once for all
-    os.environ |= {"JAX_COMPILATION_CACHE_DIR": compiled.name, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    compiled = tempfile.TemporaryDirectory(prefix="guider-drills-compiled-")
+    os.environ |= {  # programs are compiled once for all trials, and the loopback server is reached without a proxy
+        "JAX_COMPILATION_CACHE_DIR": compiled.name,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "no_proxy": "*",
+    }
     for name in (asked.name,) if asked.name else NAMES:
         numbers = range(asked.trials or pool.load(name).trials)
         if asked.trial is not None:

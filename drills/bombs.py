@@ -95,9 +95,12 @@ def claim(path: Path, sound: Path, key: str, number: int) -> None:
     metadata.write_text(json.dumps(json.loads(metadata.read_text()) | {key: number}))
 
 
-BOMBS: dict[str, Callable[[Path, Path], None]] = {
+BOMBS: dict[str, Callable[[Path, Path], object]] = {
     **{f"npz declares {n:.0e} rows": lambda p, _, n=n: npz(p, {"observations": header((n, 4))}) for n in ROWS},
-    **{f"npz declares {n:.0e} flags": lambda p, _, n=n: npz(p, {"timeouts": header((n,), "|b1")}) for n in (3 * 10**9, *ROWS)},
+    **{
+        f"npz declares {n:.0e} flags": lambda p, _, n=n: npz(p, {"timeouts": header((n,), "|b1")})
+        for n in (3 * 10**9, *ROWS)
+    },
     "npz unpacks to 2 GB": lambda p, _: npz(p, {"observations": header((2**27, 4))}, 2**31),
     "npz has 100,000 members": lambda p, _: many(p),
     "npz header of an endless shape": lambda p, _: npz(p, {"observations": header((1,) * 5000)}),
@@ -105,7 +108,11 @@ BOMBS: dict[str, Callable[[Path, Path], None]] = {
     **{
         f"HDF5 declares {n:.0e} rows, {word}": lambda p, _, n=n, o=o: hdf5(p, {"observations": ((n, 4), "f4")}, **o)
         for n in ROWS
-        for word, o in (("contiguous", {}), ("chunked", {"chunks": (1024, 4)}), ("deflated", {"chunks": (4096, 4), "compression": "gzip"}))
+        for word, o in (
+            ("contiguous", {}),
+            ("chunked", {"chunks": (1024, 4)}),
+            ("deflated", {"chunks": (4096, 4), "compression": "gzip"}),
+        )
     },
     "HDF5 declares 3e9 flags": lambda p, _: hdf5(p, {"timeouts": ((3 * 10**9,), "?")}, chunks=(4096,)),
     "HDF5 declares 3e9 rows and flags": lambda p, _: hdf5(
@@ -113,9 +120,14 @@ BOMBS: dict[str, Callable[[Path, Path], None]] = {
     ),
     "HDF5 declares 1e12 columns": lambda p, _: hdf5(p, {"observations": ((240, 10**12), "f4")}),
     "HDF5 nests 3,000 groups": lambda p, _: nested(p),
-    **{f"pickle declares {n:.0e} episodes": lambda p, _, n=n: wgcsl(p, np.zeros((77, 5, 2)), (n,)) for n in (2**30, 2**40)},
     **{
-        f"pickle declares {2**40:.0e} {word}": lambda p, _, o=o: p.write_bytes(b"\x80\5" + o + (2**40).to_bytes(8, "little") + b"few.")
+        f"pickle declares {n:.0e} episodes": lambda p, _, n=n: wgcsl(p, np.zeros((77, 5, 2)), (n,))
+        for n in (2**30, 2**40)
+    },
+    **{
+        f"pickle declares {2**40:.0e} {word}": lambda p, _, o=o: p.write_bytes(
+            b"\x80\5" + o + (2**40).to_bytes(8, "little") + b"few."
+        )
         for word, o in (("bytes", b"\x8e"), ("letters", b"\x8d"), ("bytes of an array", b"\x96"))
     },
     "pickle of a million objects": lambda p, _: p.write_bytes(b"\x80\2" + b"}" * 10**6 + b"."),
@@ -136,7 +148,7 @@ def prepare(folder: Path) -> Path:
 
 
 def trial(sound: Path, number: int, rng: random.Random, folder: Path) -> Outcome:
-    import minari as _  # whose start is not counted
+    import minari  # noqa: F401 - its start is not counted
 
     from guider import data
 

@@ -73,7 +73,7 @@ class Drill:
 
 @dataclass(frozen=True)
 class Answer:
-    """What calling into the package gave: a value, a refusal (a line for the user), or a trace (any other exception)."""
+    """What calling into the package gave: a value, a refusal in a line, or a trace (any other exception)."""
 
     kind: Literal["value", "refused", "trace"]
     value: Any
@@ -128,9 +128,9 @@ class Ended:
 
 
 def environment(**more: str) -> dict[str, str]:
-    """The trial's: this checkout's package, and no proxy between here and the loopback server."""
+    """The trial's, in which commands run this checkout's package."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    return os.environ | {"PYTHONPATH": path, "no_proxy": "*"} | more
+    return os.environ | {"PYTHONPATH": path} | more
 
 
 def start(arguments: list[str], folder: Path, often: bool = False, **more: str) -> subprocess.Popen[str]:
@@ -169,7 +169,9 @@ def walk(episodes: int = 12, length: int = 20, state_dim: int = 4, seed: int = 0
     """observations [rows, state_dim], actions [rows, 2] and lengths [episodes] of a point that wanders."""
     rng = np.random.default_rng(seed)
     observations = rng.normal(size=(episodes, length, state_dim))
-    observations[..., :2] = rng.uniform(-9, 9, (episodes, 1, 2)) + np.cumsum(rng.normal(0, 0.3, (episodes, length, 2)), 1)
+    observations[..., :2] = rng.uniform(-9, 9, (episodes, 1, 2)) + np.cumsum(
+        rng.normal(0, 0.3, (episodes, length, 2)), 1
+    )
     rows = episodes * length
     return {
         "observations": observations.reshape(rows, state_dim).astype(np.float32),

@@ -1,8 +1,8 @@
 """One bit flipped, a cut, a zeroed block, an emptied or removed file, in everything a run stores.
 
-Most trials damage the newest checkpoint; others run.json, metrics.jsonl and an entry of a stage cache. What is read must
-be what was stored, or the older checkpoint with a line, or a refusal; in the cache, damage must train anew. A line of
-metrics carries no checksum: that another number is read there is said in the table and counted as no fault.
+Most trials damage the newest checkpoint; others run.json, metrics.jsonl and an entry of a stage cache. What is read
+must be what was stored, or the older checkpoint with a line, or a refusal; in the cache, damage must train anew. A line
+of metrics carries no checksum: that another number is read there is said in the table and counted as no fault.
 """
 
 from __future__ import annotations
@@ -13,9 +13,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drills.common import GOAL, SETTINGS, TASK, Answer, Drill, Outcome, ask, collect, guider, metrics, restored, same
+from drills.common import (
+    SETTINGS,
+    TASK,
+    Answer,
+    Drill,
+    Outcome,
+    ask,
+    collect,
+    guider,
+    metrics,
+    restored,
+    same,
+    succeed,
+    training,
+)
 from drills.common import steps as checkpoints
-from drills.common import succeed, training
 
 KINDS = (*["checkpoint"] * 16, "run.json", "run.json", "metrics.jsonl", "cache")
 
@@ -93,7 +106,9 @@ def _judge(kind: str, what: str, answer: Answer, scene: Scene) -> Outcome:
         return Outcome(f"{kind}: equal to the newest")
     if same(answer.value, scene.older):
         warned = answer.warned
-        return Outcome(f"{kind}: the older one, {'with' if warned else 'without'} a line", None if warned else "silent", what)
+        return Outcome(
+            f"{kind}: the older one, {'with' if warned else 'without'} a line", None if warned else "silent", what
+        )
     return Outcome(f"{kind}: other parameters or position", "silent", what)
 
 

@@ -144,7 +144,9 @@ def mutate_bytes(content: bytearray, rng: random.Random) -> str:
     """Change bytes, near the beginning or the end half the time, and say how."""
     size = len(content)
     for _ in range(rng.choice((1, 1, 1, 2, 8))):
-        place = rng.choice((rng.randrange(size), rng.randrange(min(size, 512)), size - 1 - rng.randrange(min(size, 512))))
+        place = rng.choice(
+            (rng.randrange(size), rng.randrange(min(size, 512)), size - 1 - rng.randrange(min(size, 512)))
+        )
         length = rng.choice((1, 2, 4, 8, 64, 1000))
         way = rng.choice(("flip", "flip", "byte", "cut", "zeros", "ones", "noise", "insert", "remove", "double"))
         block = content[place : place + length]
@@ -175,7 +177,9 @@ def mutate_json(value: Any, rng: random.Random) -> Any:
         else:
             copy[key] = mutate_json(copy[key], rng)
         return copy
-    return rng.choice((None, True, -1, 0, 10**30, 1.5, "", "text", [], {}, [value], {"a": value}, "9" * 5000, 2**31, -0.1))
+    return rng.choice(
+        (None, True, -1, 0, 10**30, 1.5, "", "text", [], {}, [value], {"a": value}, "9" * 5000, 2**31, -0.1)
+    )
 
 
 def mutate_hdf5(path: Path, rng: random.Random) -> str:

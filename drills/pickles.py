@@ -45,31 +45,40 @@ def _log() -> dict[str, Any]:
 # Each is given the file it must try to make, and the Python code that makes it.
 PAYLOADS: dict[str, Callable[[str, str], bytes]] = {
     **{
-        f"system, protocol {protocol}": lambda path, code, p=protocol: pickle.dumps(Call(os.system, (f"touch {path}",)), p)
+        f"system, protocol {protocol}": lambda path, code, p=protocol: pickle.dumps(
+            Call(os.system, (f"touch {path}",)), p
+        )
         for protocol in range(6)
     },
     "process": lambda path, code: pickle.dumps(Call(subprocess.call, (["touch", path],)), 4),
     "eval": lambda path, code: pickle.dumps(Call(eval, (code,)), 2),
     "exec": lambda path, code: pickle.dumps(Call(exec, (code,)), 5),
     "getattr": lambda path, code: (
-        b"\x80\2cbuiltins\ngetattr\ncbuiltins\n__dict__\n" + _text("get") + b"\x86R" + _text("eval") + b"\x85R"
-        + _text(code) + b"\x85R."
+        b"\x80\2cbuiltins\ngetattr\ncbuiltins\n__dict__\n"
+        + _text("get")
+        + b"\x86R"
+        + _text("eval")
+        + b"\x85R"
+        + _text(code)
+        + b"\x85R."
     ),
     "numpy writes": lambda path, code: pickle.dumps(Call(np.savetxt, (path, [1.0])), 2),
     "numpy maps": lambda path, code: pickle.dumps(Call(np.memmap, (path, "f8", "w+", 0, (1,))), 4),
     "beside a log": lambda path, code: pickle.dumps(_log() | {"extra": Call(eval, (code,))}, 4),
     "as an array of a log": lambda path, code: pickle.dumps(_log() | {"u": Call(eval, (code,))}, 2),
-    "in a type": lambda path, code: pickle.dumps(_log() | {"u": Call(np.dtype, (Call(eval, (f"{code} or 'f8'",)),))}, 3),
-    "in a shape": lambda path, code: pickle.dumps(_log() | {"u": Call(np.ndarray, (Call(eval, (f"{code} or 2",)),))}, 5),
+    "in a type": lambda path, code: pickle.dumps(
+        _log() | {"u": Call(np.dtype, (Call(eval, (f"{code} or 'f8'",)),))}, 3
+    ),
+    "in a shape": lambda path, code: pickle.dumps(
+        _log() | {"u": Call(np.ndarray, (Call(eval, (f"{code} or 2",)),))}, 5
+    ),
     "nested lists": lambda path, code: pickle.dumps([[[{1: (Call(eval, (code,)),)}]]], 4),
     "dotted name": lambda path, code: (
         b"\x80\4" + _text("os") + _text("path.os.system") + b"\x93" + _text(f"touch {path}") + b"\x85R."
     ),
     "instance": lambda path, code: b"\x80\2(" + _text(code) + b"ibuiltins\neval\n.",
     "object": lambda path, code: b"\x80\2(cbuiltins\neval\n" + _text(code) + b"o.",
-    "copyreg": lambda path, code: (
-        b"\x80\2ccopyreg\n__newobj__\n0" + pickle.dumps(Call(eval, (code,)), 2)[2:]
-    ),
+    "copyreg": lambda path, code: b"\x80\2ccopyreg\n__newobj__\n0" + pickle.dumps(Call(eval, (code,)), 2)[2:],
     "after a log": lambda path, code: pickle.dumps(_log(), 2)[:-1] + b"cbuiltins\neval\n" + _text(code) + b"\x85R0.",
 }
 

@@ -13,12 +13,36 @@ from pathlib import Path
 
 import h5py
 
-from drills.common import SETS, TASK, Ended, Outcome, collect, d4rl, digest, guider, metrics, restored, same, succeed
+from drills.common import (
+    SETS,
+    TASK,
+    Ended,
+    Outcome,
+    collect,
+    d4rl,
+    digest,
+    guider,
+    metrics,
+    restored,
+    same,
+    succeed,
+    walk,
+)
 from drills.common import training as train
-from drills.common import walk
 from tests.loopback import Site, serve
 
-KINDS = ("train", "train", "fetch", "train with a cache", "evaluate", "reproduce", "collect", "train", "minari", "fetch")
+KINDS = (
+    "train",
+    "train",
+    "fetch",
+    "train with a cache",
+    "evaluate",
+    "reproduce",
+    "collect",
+    "train",
+    "minari",
+    "fetch",
+)
 FETCHED = "antmaze-large-diverse"
 
 
