@@ -102,8 +102,8 @@ def read(path: Path) -> Outcome:
         return fault
     if answer.kind == "refused":
         return Outcome("refused in a line")
-    found = any((array == SECRET).any() for array in (answer.value.observations, answer.value.actions))
-    if found:
+    arrays = (answer.value.observations, answer.value.actions, answer.value.goals)
+    if any((array == SECRET).any() for array in arrays if array is not None):
         return Outcome("read from outside", "silent")
     return Outcome("read, nothing from outside") if path.suffix == ".npz" else Outcome("read through", "silent")
 
@@ -170,7 +170,7 @@ CASES: dict[str, Callable[[Scene, Path], Outcome]] = {
     },
     **{
         f"{key} by {way} in Minari": lambda s, f, key=key, way=way: read(minari(s, f, key, way))
-        for key in ("observations", "actions")
+        for key in ("observations/observation", "actions")
         for way in WAYS
     },
     **{
