@@ -89,7 +89,7 @@ def plain(scene: Scene, folder: Path, arguments: list[str], **more: str) -> Outc
 
 
 def full(scene: Scene, folder: Path, share: float, what: str) -> Outcome:
-    """A command that writes to a disk too small for it; a run that could not be finished goes on where there is room."""
+    """A command on a disk too small for it; a run that could not be finished there goes on where there is room."""
     if not scene.may_mount:
         return Outcome("skipped: mounting is not permitted here")
     disk, after = folder / "disk", folder / "after"
