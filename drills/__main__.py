@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import shutil
 import sys
 import tempfile
 import time
@@ -14,11 +13,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from drills import pool
 from drills.common import FAULTS, ROOT, Outcome
 
-NAMES = ("kill", "stop", "flips", "mutants", "bombs", "links", "pickles", "twice", "strangers", "servers")
+NAMES = ("bombs", "pickles", "links", "servers", "flips", "mutants", "kill", "stop", "twice", "strangers")
 REPORT = ROOT / "docs" / "reliability.md"
 FLAGS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16")
 PACKAGES = ("guider-rl", "jax", "jaxlib", "orbax-checkpoint", "numpy", "h5py", "minari", "mujoco", "rich")
@@ -42,14 +42,17 @@ class Result:
             self.examples.append(f"{outcome.fault}: {outcome.what}: {_short(outcome.detail)} (`{again}`)")
 
 
-def run(name: str, seed: int, numbers: range, workers: int) -> Result:
-    """Run a drill and say how it goes."""
+def run(name: str, seed: int, numbers: range, workers: int, root: Path, scenes: dict[Any, Any]) -> Result:
+    """Run a drill in a folder of its own below `root` and say how it goes. scenes: what drills have prepared so far."""
     result, began = Result(name), time.monotonic()
-    folder = Path(tempfile.mkdtemp(prefix="guider-drill-"))
+    folder, prepare = root / name, pool.load(name).prepare
+    folder.mkdir()
     try:
-        print(f"{name}: preparing", file=sys.stderr)
-        (folder / "shared").mkdir()
-        job = pool.Job(name, seed, folder, pool.prepare(name, folder / "shared"))
+        if prepare not in scenes:
+            print(f"{name}: preparing", file=sys.stderr)
+            (folder / "shared").mkdir()
+            scenes[prepare] = pool.prepare(name, folder / "shared")
+        job = pool.Job(name, seed, folder, scenes[prepare])
         for done, (number, outcome) in enumerate(pool.trials(job, numbers, workers), start=1):
             result.add(number, outcome, seed)
             if outcome.fault and len(result.examples) <= 30:
@@ -60,8 +63,6 @@ def run(name: str, seed: int, numbers: range, workers: int) -> Result:
     except Exception as error:
         result.add(-1, Outcome("the drill itself broke", "traces", f"{type(error).__name__}: {error}"), seed)
         print(f"{name}: {result.examples[-1]}", file=sys.stderr)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     result.seconds = time.monotonic() - began
     return result
 
@@ -112,19 +113,21 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=min(2, _cores()), help="trials at a time")
     asked = parser.parse_args()
     results: list[Result] = []
-    compiled = tempfile.TemporaryDirectory(prefix="guider-drills-compiled-")
-    os.environ |= {  # programs are compiled once for all trials, and the loopback server is reached without a proxy
-        "JAX_COMPILATION_CACHE_DIR": compiled.name,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "no_proxy": "*",
-    }
-    for name in (asked.name,) if asked.name else NAMES:
-        numbers = range(asked.trials or pool.load(name).trials)
-        if asked.trial is not None:
-            numbers = range(asked.trial, asked.trial + 1)
-        results.append(run(name, asked.seed, numbers, min(asked.workers, len(numbers))))
-        if asked.name is None:
-            REPORT.write_text(report(results, asked.seed))
+    scenes: dict[Any, Any] = {}
+    with tempfile.TemporaryDirectory(prefix="guider-drills-", ignore_cleanup_errors=True) as root:
+        os.environ |= {  # programs are compiled once for all trials; the loopback server is reached without a proxy
+            "JAX_COMPILATION_CACHE_DIR": f"{root}/compiled",
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "no_proxy": "*",
+        }
+        for name in (asked.name,) if asked.name else NAMES:
+            numbers = range(asked.trials or pool.load(name).trials)
+            if asked.trial is not None:
+                numbers = range(asked.trial, asked.trial + 1)
+            workers = min(asked.workers, len(numbers))
+            results.append(run(name, asked.seed, numbers, workers, Path(root), scenes))
+            if asked.name is None:
+                REPORT.write_text(report(results, asked.seed))
     print(table(results))
     return int(any(result.faults for result in results))
 
