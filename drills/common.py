@@ -8,7 +8,6 @@ import os
 import random
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -79,7 +78,6 @@ class Answer:
     value: Any
     text: str
     warned: bool
-    seconds: float
 
     def fault(self) -> Outcome | None:
         return Outcome("trace", "traces", self.text) if self.kind == "trace" else None
@@ -87,7 +85,6 @@ class Answer:
 
 def ask(action: Callable[[], Any]) -> Answer:
     """Call `action` and sort what comes out."""
-    began = time.monotonic()
     kind, value, text = "value", None, ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -101,7 +98,7 @@ def ask(action: Callable[[], Any]) -> Answer:
         except BaseException as error:
             kind, text = "trace", f"{type(error).__name__}: {error}"
     warned = any(issubclass(warning.category, GuiderWarning) for warning in caught)
-    return Answer(kind, value, text, warned, time.monotonic() - began)
+    return Answer(kind, value, text, warned)
 
 
 @dataclass(frozen=True)
@@ -145,7 +142,7 @@ def start(arguments: list[str], folder: Path, often: bool = False, **more: str) 
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        start_new_session=True,
+        process_group=0,
     )
 
 

@@ -96,8 +96,10 @@ class _Worker:
 
     def stop(self) -> None:
         self.pipe.close()
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.process.pid or 0, signal.SIGKILL)
+        for stat in Path("/proc").glob("[0-9]*/stat"):  # all that the worker has started is of its session
+            with contextlib.suppress(OSError):
+                if int(stat.read_text().rpartition(")")[2].split()[3]) == self.process.pid:
+                    os.kill(int(stat.parent.name), signal.SIGKILL)
         self.process.join()
 
 
