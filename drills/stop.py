@@ -16,7 +16,8 @@ from drills.common import Drill, Ended, Outcome, end, start
 from drills.works import KINDS, Scene, begin, command, go_on, prepare, verdict
 
 PATIENCE_S = 20.0
-STARTING_S = 1.0
+STARTING_S = 1.5
+"""Of the processor's time, which Python takes to import what a command needs."""
 
 
 def trial(scene: Scene, number: int, rng: random.Random, folder: Path) -> Outcome:
@@ -25,10 +26,11 @@ def trial(scene: Scene, number: int, rng: random.Random, folder: Path) -> Outcom
     delay = rng.uniform(0.2, 1.1) * scene.seconds[kind]
     with begin(scene, kind, folder) as site:
         arguments, often = command(scene, kind, folder, site)
-        process = start(arguments, folder, often)
+        process, starting = start(arguments, folder, often), False
         try:
             ended = end(process, delay)
         except subprocess.TimeoutExpired:
+            starting = _worked(process.pid) < STARTING_S
             # A terminal sends Ctrl-C to all that run in it, `kill` only to the one that is named.
             os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)
             try:
@@ -37,7 +39,7 @@ def trial(scene: Scene, number: int, rng: random.Random, folder: Path) -> Outcom
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
                 return Outcome(f"{kind}: goes on after {sent.name}", "hangs")
-        if fault := _manners(ended, sent, delay < STARTING_S) or _left(process.pid):
+        if fault := _manners(ended, sent, starting) or _left(process.pid):
             return Outcome(f"{kind}: {fault.what} at {sent.name}", fault.fault, f"{fault.detail}, after {delay:.1f} s")
         return verdict(scene, kind, folder, go_on(scene, kind, folder, site))
 
@@ -50,6 +52,12 @@ def _manners(ended: Ended, sent: signal.Signals, starting: bool) -> Outcome | No
     if fault := ended.fault():
         return fault
     return None if ended.status == 128 + sent else Outcome(f"status {ended.status}", "traces", ended.lines()[0])
+
+
+def _worked(process: int) -> float:
+    """Seconds that a process has kept processors busy."""
+    ticks = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
 
 
 def _left(group: int) -> Outcome | None:
