@@ -3,13 +3,14 @@
 from guider.api import evaluate, load, resume, train
 from guider.data import load as load_data
 from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.policy import Agent, Policy, act, initial_state
 
 __all__ = [
     "Agent",
     "Episodes",
     "GuiderError",
+    "GuiderWarning",
     "Policy",
     "act",
     "evaluate",

@@ -174,7 +174,13 @@ def _settle(
             raise GuiderError(
                 f"{benchmark.name} fixes its goal entries and radius; leave --goal-indices and --radius out"
             )
-        episodes = _episodes(data, benchmark.goal_indices, format, episode_ends)
+        own = isinstance(data, Episodes)
+        episodes = _episodes(data, None if own else benchmark.goal_indices, format, episode_ends)
+        if episodes.goal_indices != benchmark.goal_indices:
+            raise GuiderError(
+                f"the goal entries of {benchmark.name} are {benchmark.goal_indices}, those of the episodes "
+                f"{episodes.goal_indices}; give them as episodes.with_goal_space({benchmark.goal_indices})"
+            )
         _check_fits(benchmark, episodes)
         problem = _problem(benchmark)
     else:
@@ -186,11 +192,11 @@ def _settle(
         episodes = _episodes(data, goal_indices, format, episode_ends)
         period = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
         problem = Problem(float(radius), 2 * float(radius), period)
+        check_radius(problem, episodes)
     if reach_radius is not None:
         problem = replace(problem, reach_radius=float(reach_radius))
     if period_steps is not None:
         problem = replace(problem, period_steps=_whole(period_steps, "period_steps"))
-    check_radius(problem, episodes)
     return problem, episodes, override(preset_config(method, preset, problem), settings or {})
 
 

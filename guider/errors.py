@@ -28,6 +28,6 @@ class Stopped(BaseException):
 def names_like(name: str, names: Iterable[str]) -> str:
     """For a message about a name that is none: the names like it, or else what there is, at most a dozen."""
     names = list(map(str, names))
-    if near := difflib.get_close_matches(name, names, n=3, cutoff=0.6):
+    if near := difflib.get_close_matches(name, names, n=3, cutoff=0.5):
         return f"did you mean {' or '.join(near)}?"
     return f"there are {', '.join(names[:12])}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")

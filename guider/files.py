@@ -33,10 +33,20 @@ def read_bytes(path: Path) -> bytes:
 
 
 def walk(folder: Path) -> Iterator[str]:
-    """Every file below `folder`, by its path from there. Raises GuiderError on links and on what is no regular file."""
+    """Every file below `folder`, by its path from there; what another process takes away meanwhile is left out.
+
+    Raises GuiderError on links and on what is no regular file, OSError where `folder` cannot be read.
+    """
     waiting = [folder]
     while waiting:
-        for entry in list(os.scandir(waiting.pop())):
+        inner = waiting.pop()
+        try:
+            entries = list(os.scandir(inner))
+        except FileNotFoundError:
+            if inner == folder:
+                raise
+            continue
+        for entry in entries:
             path = Path(entry.path)
             if entry.is_symlink():
                 raise _link(path)

@@ -57,15 +57,17 @@ def test_the_goal_space_asked_for_is_trained(started):
     assert recorded.with_goal_space((0, 1)).goals is None
 
 
-def test_a_task_reads_episodes_in_its_own_goal_space(started):
+def test_a_task_takes_episodes_of_its_own_goal_space(started):
     from guider.tasks import find_task
 
     task = find_task("pointmaze-umaze")
     assert task.collector is not None
     recording = task.collector.record(600, 0, lambda done, total: None)
     data = make_episodes(recording.observations, recording.actions, recording.lengths, (2, 3))
-    with pytest.raises(Started):
+    with pytest.raises(GuiderError, match=r"goal entries of pointmaze-umaze are \(0, 1\), those of .* \(2, 3\)"):
         api.train("pointmaze-umaze", data, method="bc")
+    with pytest.raises(Started):
+        api.train("pointmaze-umaze", data.with_goal_space((0, 1)), method="bc")
     assert started[-1][1].spaces.goal_indices == (0, 1)
 
 

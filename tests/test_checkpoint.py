@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,7 +19,7 @@ import pytest
 
 from guider import checkpoint
 from guider.errors import GuiderError, GuiderWarning
-from guider.files import parse_json, write_json
+from guider.files import parse_json, walk, write_json
 from guider.training import Position
 
 
@@ -243,3 +244,16 @@ def test_what_cannot_be_written_is_told_and_leaves_the_last_one(saved, capfd):
     assert "Traceback" not in capfd.readouterr().err
     restored = checkpoint.restore(saved, TEMPLATE)
     assert restored is not None and equal(restored[1], state_of(10))
+
+
+def test_folders_that_go_while_they_are_walked_are_left_out(tmp_path):
+    """Another process renames or removes what it had not finished."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+    walking = walk(tmp_path)
+    first = next(walking)
+    shutil.rmtree(tmp_path / ({"a/file", "b/file"} - {first}).pop().split("/")[0])
+    assert [first, *walking] == [first]
+    with pytest.raises(FileNotFoundError):
+        list(walk(tmp_path / "nothing"))

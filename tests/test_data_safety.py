@@ -389,7 +389,7 @@ def test_pipes_devices_and_sockets_are_refused_at_once(tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind("socket")
         for name in ("pipe", "socket", "/dev/zero"):
-            for format in (None, "d4rl", "wgcsl", "minari"):
+            for format in (None, "arrays", "wgcsl", "minari"):
                 assert "a pipe, socket or device" in refusal(name, format=format)
 
 
@@ -398,8 +398,8 @@ def test_names_that_cannot_be(tmp_path, monkeypatch):
     assert "no such file" in refusal(tmp_path / "b.npz")
     assert "Not a directory" in refusal(path / "b.npz")
     assert "name too long" in refusal("a" * 300)
-    assert "null byte" in refusal("a\0b")
-    assert "no such user" in refusal("~nobody-of-this-name/a.npz")
+    assert "is no path" in refusal("a\0b")
+    assert "no home directory" in refusal("~nobody-of-this-name/a.npz")
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may read everything
     assert "Permission denied" in refusal(path)
 
@@ -567,6 +567,7 @@ def test_damaged_archives(tmp_path):
     assert 60 < refused
 
 
+@pytest.mark.filterwarnings("ignore::guider.GuiderWarning")
 def test_damaged_and_swapped_members_of_whole_archives(tmp_path):
     """The archive's checksums are right, so that NumPy sees every damage."""
     rng = np.random.default_rng(0)

@@ -53,8 +53,8 @@ def made(tmp_path_factory) -> Path:
     return folder
 
 
-def command(target: str, folder: Path, *more: str) -> list[str]:
-    places = ["--data", str(folder / "data"), "--out", str(folder / "out")]
+def command(target: str, folder: Path, *more: str, out: Path | None = None) -> list[str]:
+    places = ["--data", str(folder / "data"), "--out", str(out or folder / "out")]
     by_method = OPTIONS if target in ("table1", "figure4", "figure6") else OPTIONS[:4]
     return ["reproduce", target, *by_method, *places, *more, *SETS]
 
@@ -254,7 +254,7 @@ def test_other_tables_find_the_run(made, capsys):
 def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
     """Runner and training get SIGKILL in the middle of the last stage; the same command goes on where they were."""
     out = tmp_path / "out"
-    arguments = [*command("table1", made, "--tasks", TASK, "--out", str(out))]
+    arguments = [*command("table1", made, "--tasks", TASK, out=out)]
     process = subprocess.Popen(
         [sys.executable, "-m", "guider", *arguments], stderr=subprocess.DEVNULL, start_new_session=True
     )
@@ -286,7 +286,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
 def test_a_signal_ends_the_runs_too_which_save_first(made, tmp_path):
     """SIGTERM to the runner alone, in the middle of a stage that would take hours."""
     out = tmp_path / "out"
-    arguments = [*command("table1", made, "--tasks", TASK, "--out", str(out)), "low.updates=1000000000"]
+    arguments = [*command("table1", made, "--tasks", TASK, out=out), "low.updates=1000000000"]
     arguments.remove("low.updates=3000")
     process = subprocess.Popen([sys.executable, "-m", "guider", *arguments], stderr=subprocess.PIPE, text=True)
     run = out / "runs" / TASK / "guider-fast"

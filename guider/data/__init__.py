@@ -18,7 +18,7 @@ from guider.data.safety import check_path
 from guider.data.store import Recording, Store, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
 from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError, GuiderWarning, names_like
+from guider.errors import GuiderError, GuiderWarning
 from guider.files import user_path
 
 __all__ = ["FORMATS", "describe", "load"]
@@ -55,7 +55,9 @@ def load(
     """
     name = str(source)
     if format is not None and format not in FORMATS:
-        raise GuiderError(f"unknown data format {format!r}; {names_like(format, FORMATS)}")
+        raise GuiderError(
+            f"unknown data format {format!r}; there are {', '.join(FORMATS)} (arrays: D4RL's, OGBench's and one's own)"
+        )
     asked = None if goal_indices is None else tuple(goal_indices)
     recording = _read(name, asked, assumed_goal, format, tuple(episode_ends))
     if recording.warning:
