@@ -1,6 +1,6 @@
 """Guider: offline hierarchical reinforcement learning with a latent model of reachable subgoals (IJCAI 2023)."""
 
-from guider.api import evaluate, load, resume, train
+from guider.api import evaluate, inspect, load, resume, train
 from guider.data import load as load_data
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError, GuiderWarning
@@ -15,6 +15,7 @@ __all__ = [
     "act",
     "evaluate",
     "initial_state",
+    "inspect",
     "load",
     "load_data",
     "make_episodes",

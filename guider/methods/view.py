@@ -112,7 +112,7 @@ class Use:
         fraction = self.transitions / self.of_transitions
         share = f"{self.transitions:,} of {self.of_transitions:,} transitions ({fraction:.0%})"
         why = f"; left out by {', '.join(self.settings)}" if self.settings else ""
-        return f"{share} and {self.windows:,} of {self.of_windows:,} windows are learned from{why}"
+        return f"{share} and {self.windows:,} of {self.of_windows:,} windows are used{why}"
 
 
 def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
