@@ -9,6 +9,9 @@ from collections.abc import Iterable
 class GuiderError(Exception):
     """Bad input. The message is one line: what is wrong, where, and what to do."""
 
+    def __init__(self, message: str):
+        super().__init__(" ".join(message.split("\n")))
+
 
 class GuiderWarning(UserWarning):
     """Something that was decided for the user and may be wrong, in one line; the command line prints it as such."""

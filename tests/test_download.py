@@ -530,3 +530,17 @@ def test_minari_decides_where_its_data_is(folder):
     for arguments in ((folder, None), (None, "http://127.0.0.1")):
         with pytest.raises(GuiderError, match="MINARI_DATASETS_PATH"):
             fetch(find_dataset("minari:test/walk-v0"), *arguments)
+
+
+@pytest.mark.parametrize("size", ["9" * 5000, "many"])
+def test_a_length_that_is_none_is_as_good_as_no_length(site, folder, content, size):
+    site.replies = [lambda handler: send(handler, content, Content_Length=size)]
+    (path,) = fetch(dataset(site.url), folder, patience=PATIENCE)
+    assert path.read_bytes() == content
+
+
+def test_a_redirect_in_circles_is_one_line(site, folder, content):
+    site.replies = [lambda handler: send(handler, b"", 302, Location=handler.path, Content_Length=0)]
+    with pytest.raises(GuiderError, match="HTTP 302") as refused:
+        fetch(dataset(site.url), folder, patience=PATIENCE)
+    assert "\n" not in str(refused.value)

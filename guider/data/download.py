@@ -304,12 +304,17 @@ def _whole_size(response: HTTPResponse) -> int | None:
         text = response.headers.get("Content-Range", "").rpartition("/")[2]
     else:
         text = response.headers.get("Content-Length", "")
-    return int(text) if text.isdecimal() else None
+    return _count(text)
+
+
+def _count(text: str) -> int | None:
+    """A number of bytes, as headers give it; None for anything else, or more than there can be."""
+    return int(text) if text.isdecimal() and len(text) < 20 else None
 
 
 def _first_byte(response: HTTPResponse) -> int | None:
     text = response.headers.get("Content-Range", "").removeprefix("bytes ").partition("-")[0]
-    return int(text) if text.isdecimal() else None
+    return _count(text)
 
 
 @contextmanager
