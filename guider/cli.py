@@ -275,7 +275,8 @@ def data(
             format=format,
             episode_ends=episode_ends,
         )
-        lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in description.items()]
+        shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
+        lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items()]
         _answer(description, "\n".join(lines), as_json)
     elif source is None:
         rows = [{"name": found.name, "source": found.source} for found in CATALOGUE.values()]
@@ -603,6 +604,15 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
     low, high = result["interval_95"]
     table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
     return table
+
+
+def _end_signs(signs: list[dict[str, Any]]) -> str:
+    """How many ends each sign gave, those taken first."""
+    taken, others = (
+        ", ".join(f"{sign['name']} {sign['ends']:,}" for sign in signs if sign["used"] == used)
+        for used in (True, False)
+    )
+    return taken + (f" (not taken: {others})" if others else "")
 
 
 def _short(value: Any) -> str:

@@ -222,6 +222,8 @@ def test_inspect_says_who_named_the_goal_space_and_what_training_would_use(logs,
     assert description["goal_space_from"] == "asked for"
     assert description["training"]["data_use"].startswith("590 of 590 transitions")
     assert description["resting_action"] == [0, 0]
+    assert main(["data", "inspect", "logs.npz"]) == 0
+    assert "episode ends  lengths 10 (not taken: jumps 9)" in capsys.readouterr().out
     assert main(["data", "inspect", "logs.npz", "--out", "x"]) == 1
     assert main(["data", "fetch", "--radius", "1"]) == 1
 
