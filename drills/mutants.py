@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from drills.common import GOAL, SETS, Answer, Drill, Outcome, ask, collect, d4rl, guider, succeed, training, walk
+from drills.common import GOAL, Answer, Drill, Outcome, ask, collect, d4rl, guider, succeed, training, walk
 
 Arrays = dict[str, np.ndarray]
 KINDS = ("npz", "ogbench", "d4rl", "hdf5", "minari", "wgcsl2", "wgcsl4", "run.json", "maze")
@@ -40,7 +40,7 @@ def prepare(folder: Path) -> Scene:
     minari = collect_minari(folder / "collected")
     minari.rename(files["minari"])
     data = collect(folder / "data.hdf5", 2000)
-    succeed(guider([*training(data, folder / "run"), *SETS[1:]], folder))
+    succeed(guider(training(data, folder / "run"), folder))
     files["run.json"] = folder / "run"
     shutil.rmtree(folder / "run" / "checkpoints")
     files["maze"].write_text(MAZE)
