@@ -61,7 +61,7 @@ def test_next_observations_end_episodes_where_they_are_not_the_next_row(tmp_path
     followers = np.roll(observations, -1, axis=0)
     followers[ENDS] += 1
     assert read(tmp_path, {"next_observations": followers}).lengths.tolist() == LENGTHS
-    with pytest.warns(GuiderWarning, match="2 rows that no flag marks have another state than the next row's"):
+    with pytest.warns(GuiderWarning, match="1 rows that no flag marks have another state than the next row's"):
         episodes = read(tmp_path, {"next_observations": followers, "terminals": HALF})
     assert episodes.lengths.tolist() == LENGTHS
     assert signs(episodes)["next_observations"] == (4, True)
@@ -110,12 +110,7 @@ def test_the_users_word_is_taken(tmp_path):
     assert read(tmp_path, arrays, episode_ends=["terminals"]).lengths.tolist() == [20, 62, 40]
     episodes = read(tmp_path, arrays, episode_ends=["terminals", "timeouts"])
     assert episodes.lengths.tolist() == LENGTHS
-    assert {name: used for name, (_, used) in signs(episodes).items()} == {
-        "lengths": False,
-        "terminals": True,
-        "timeouts": True,
-        "jumps": False,
-    }
+    assert signs(episodes) == {"terminals": (2, True), "timeouts": (2, True)}
     assert read(tmp_path, {}, episode_ends=["jumps"]).lengths.tolist() == LENGTHS
     with pytest.raises(GuiderError, match=r"no sign of episode ends is called 'terminal' here; did you mean terminals"):
         read(tmp_path, arrays, episode_ends=["terminal"])
@@ -142,7 +137,9 @@ def turning(rows: int) -> np.ndarray:
 
 def test_an_angle_that_wraps_is_no_end_where_flags_mark_the_ends(tmp_path):
     arrays = {"observations": turning(sum(LENGTHS)), "terminals": ENDS}
-    with pytest.warns(GuiderWarning, match="jumps after 2 rows .*: no ends, since each crosses the whole range"):
+    with pytest.warns(
+        GuiderWarning, match="after 2 rows an entry crosses its whole range and all others go on, .*: no ends"
+    ):
         episodes = read(tmp_path, arrays)
     assert episodes.lengths.tolist() == LENGTHS
 
@@ -167,8 +164,129 @@ def test_terminals_that_are_resets_end_episodes_beside_timeouts(tmp_path):
 
 
 def test_many_single_states_are_told(tmp_path):
+    arrays = walk([122]) | {"lengths": np.array([60, *[1] * 62])}
     with pytest.warns(GuiderWarning, match=r"62 of 122 rows are episodes of a single state and are left out"):
-        read(tmp_path, {"lengths": np.array([60, *[1] * 62])})
+        load(write_npz(tmp_path / "a.npz", arrays), GOAL)
+
+
+# What people have, tried out by somebody who had not written the rules
+
+MANY = [60, 80, 45, 100, 70, 90, 55, 66]
+
+
+def smooth(lengths, seed=0) -> dict[str, np.ndarray]:
+    """A point with velocities, each episode from another start."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for length in lengths:
+        velocity = np.cumsum(rng.normal(0, 0.02, (length, 2)), axis=0)
+        parts.append(np.hstack([rng.uniform(0, 10, 2) + np.cumsum(velocity, axis=0), velocity]))
+    observations = np.vstack(parts).astype(np.float32)
+    return {"observations": observations, "actions": rng.uniform(-1, 1, (len(observations), 2)).astype(np.float32)}
+
+
+def loaded(folder, arrays, **options):
+    return load(write_npz(folder / "a.npz", arrays), GOAL, **options)
+
+
+def followers(arrays, lengths) -> np.ndarray:
+    """next_observations, with a state of their own after each episode's last row."""
+    after = np.roll(arrays["observations"], -1, axis=0)
+    after[ends(lengths)] += 0.5
+    return after
+
+
+def test_rows_of_several_environments_in_turns_are_told(tmp_path):
+    parts = [smooth([100], seed) for seed in range(4)]
+    arrays = {key: np.stack([part[key] for part in parts], axis=1).reshape(400, -1) for key in parts[0]}
+    with pytest.warns(
+        GuiderWarning, match="do not seem to follow each other.* but for every 4th: as if 4 environments"
+    ):
+        loaded(tmp_path, arrays | {"dones": np.repeat(np.arange(100) == 99, 4)})
+
+
+def test_shuffled_rows_without_next_states_are_told(tmp_path):
+    order = np.random.default_rng(1).permutation(sum(MANY))
+    arrays = {key: array[order] for key, array in smooth(MANY).items()} | {"dones": ends(MANY)[order]}
+    with pytest.warns(GuiderWarning, match="do not seem to follow each other: the next is as far as any other"):
+        loaded(tmp_path, arrays)
+
+
+@pytest.mark.parametrize("stated", [{"episode_index": np.zeros(sum(MANY), int)}, {"lengths": np.array(MANY[::-1])}])
+def test_what_a_file_states_against_all_else_is_told(tmp_path, stated):
+    with pytest.warns(GuiderWarning, match=r"terminals marks \d ends that .* does not"):
+        loaded(tmp_path, smooth(MANY) | {"terminals": ends(MANY)} | stated)
+
+
+def test_bursts_lost_packets_and_clocks_set_back_are_no_ends(tmp_path):
+    rng = np.random.default_rng(0)
+    bursts = [i * 300 + np.arange(n) // 4 * 0.1 + np.arange(n) % 4 * 0.001 for i, n in enumerate(MANY)]
+    losses = [i * 300 + np.cumsum(np.where(rng.random(n) < 0.05, 0.7, 0.1)) for i, n in enumerate(MANY)]
+    set_back = [i * 300 + np.arange(n) * 0.1 - 0.15 * (np.arange(n) > n // 2) for i, n in enumerate(MANY)]
+    for times in (bursts, losses, set_back):
+        assert loaded(tmp_path, smooth(MANY) | {"timestamps": np.concatenate(times)}).lengths.tolist() == MANY
+
+
+@pytest.mark.parametrize("flags", [{"dones": None, "timeouts": ends([400] * 4)}, {"terminals": None}])
+def test_success_that_stays_on_near_the_goal_is_no_end_where_the_file_shows_that_it_goes_on(tmp_path, flags):
+    lengths = [400] * 4
+    arrays = smooth(lengths)
+    met = np.arange(1600) % 400 // 5 == 50
+    arrays |= {name: met if flag is None else flag for name, flag in flags.items()}
+    with pytest.warns(GuiderWarning, match="20 rows marked by .* are followed by an ordinary step: no ends"):
+        episodes = loaded(tmp_path, arrays | {"next_observations": followers(arrays, lengths)})
+    assert episodes.lengths.tolist() == lengths
+
+
+def test_one_flag_in_the_last_row_does_not_outweigh_the_terminals_of_a_robot_never_reset(tmp_path):
+    lengths = [50] * 12
+    arrays = smooth([600]) | {"terminals": ends(lengths), "timeouts": ends([600])}
+    assert loaded(tmp_path, arrays).lengths.tolist() == lengths
+
+
+def test_half_the_ends_marked_at_equal_lengths_are_not_all(tmp_path):
+    lengths = [60] * 10
+    with pytest.warns(GuiderWarning, match="jumps after 5 rows that nothing marks: taken as ends too"):
+        episodes = loaded(tmp_path, smooth(lengths) | {"dones": ends([120] * 5)})
+    assert episodes.lengths.tolist() == lengths
+
+
+def test_a_buffer_cut_off_within_an_episode_is_no_contradiction(tmp_path):
+    arrays = smooth(MANY)
+    terminals = ends(MANY)
+    terminals[-1] = False
+    times = np.arange(sum(MANY)) * 0.1
+    arrays |= {"next_observations": followers(arrays, MANY), "terminals": terminals, "timestamps": times}
+    assert loaded(tmp_path, arrays).lengths.tolist() == MANY
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"next_observations": "self"},
+        {"time": -np.arange(sum(MANY), dtype=float)},
+        {"dones": ends(MANY).astype(np.uint8) * 255},
+    ],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_the_users_word_is_the_last(tmp_path, wrong):
+    arrays = smooth(MANY) | {"terminals": ends(MANY)} | wrong
+    if "next_observations" in wrong:
+        arrays["next_observations"] = arrays["observations"] + 1
+    with pytest.raises(GuiderError, match=r"shuffled|0 or 1"):
+        loaded(tmp_path, arrays)
+    assert loaded(tmp_path, arrays, episode_ends=["terminals"]).lengths.tolist() == MANY
+
+
+def test_numbers_that_start_anew_in_a_second_file_are_read(tmp_path):
+    numbers = np.repeat(np.arange(8) % 4, MANY)
+    assert loaded(tmp_path, smooth(MANY) | {"episode_index": numbers}).lengths.tolist() == MANY
+
+
+def test_half_precision_of_next_states_is_enough(tmp_path):
+    arrays = smooth(MANY)
+    arrays |= {"next_observations": followers(arrays, MANY).astype(np.float16), "terminals": ends(MANY)}
+    assert loaded(tmp_path, arrays).lengths.tolist() == MANY
 
 
 @pytest.mark.parametrize("goal_dim", [1, 2, 3])

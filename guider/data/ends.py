@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,17 +18,21 @@ NUMBERS = ("episode_index", "episode_id", "episode_ids", "episode", "episodes")
 TRUNCATIONS = ("timeouts", "timeout", "truncations", "truncation", "truncated", "truncateds")
 LAST_ROWS = ("dones", "done", "episode_terminals", "is_last")
 TERMINALS = ("terminals", "terminal", "terminated", "terminateds", "terminations")
+FLAGS = (*TRUNCATIONS, *LAST_ROWS, *TERMINALS)
 NEXT_STATES = ("next_observations", "next_observation", "next_obs")
 TIMES = ("timestamps", "timestamp", "times", "time")
 JUMPS = "jumps"
 
-_GAP_FACTOR = 5.0
+_GAP_STEPS, _GAP_FACTOR, _BACK_STEPS = 20.0, 4.0, 5.0
 _JUMP_FACTOR = 4.0
 _NEIGHBOUR_FACTOR = 2.0
 _STILL_FRACTION = 1e-3
 _FEWEST_MOVES = 20
 _WRAP_FRACTION = 0.9
 _STEPS_COMPARED = 10_000
+_FEWEST_ROWS = 200
+_UNRELATED = 0.7
+_MOST_ENVIRONMENTS = 64
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,7 @@ class Ends:
     warning: str | None = None
 
 
+@np.errstate(invalid="ignore", over="ignore")  # NaN and inf are reported later, with their row
 def find_ends(
     store: Store, observations: np.ndarray, achieved: np.ndarray | None, chosen: tuple[str, ...] = ()
 ) -> Ends:
@@ -50,32 +56,27 @@ def find_ends(
     `lengths`, `episode_ends` or a number per episode are taken alone. Otherwise an end is every row that a flag marks
     (terminals, timeouts, truncations, dones, under all their names), whose `next_observations` is another state than
     the next row's, after which time goes back or makes a gap, or after which the goal space jumps; but not
-    - terminals where other flags mark the ends and the state goes on as on any other step (D4RL's antmaze);
-    - jumps that no flag marks where flags evidently mark all ends (see `_marks_all`).
+    - terminals and dones where other signs mark ends and the state goes on as on any other step (D4RL's antmaze);
+    - jumps that no flag marks, where an entry crosses its whole range and all others go on (an angle that wraps), or
+      where flags evidently mark all ends (see `_marks_all`).
     Raises GuiderError for flags that are not 0 or 1, for rows that do not follow each other (a shuffled replay buffer),
     and where nothing says where episodes end.
     """
     rows = len(observations)
+    if chosen:
+        return _chosen_ends(store, observations, achieved, chosen)
     marks = _marks(store, observations)
+    flagged = _any(marks, (LENGTHS, *STATED, *NUMBERS, *FLAGS), rows)
     jumps = np.zeros(rows, bool)
-    flagged = _any(marks, (LENGTHS, *STATED, *NUMBERS, *TRUNCATIONS, *LAST_ROWS, *TERMINALS), rows)
     if achieved is not None:
         jumps[:-1] = find_jumps(achieved, flagged)
         marks[JUMPS] = jumps
-
-    if chosen:
-        unknown = [name for name in chosen if name not in marks]
-        if unknown:
-            raise store.fail(f"no sign of episode ends is called {unknown[0]!r} here; {names_like(unknown[0], marks)}")
-        return _ends(marks, chosen, rows)
-    if LENGTHS in marks:  # not through flags: lengths that disagree with the rows are told as they stand
-        signs = _ends(marks, (LENGTHS,), rows).signs
-        return Ends(store.vector(LENGTHS), signs, _contradiction(marks, marks[LENGTHS], LENGTHS))
-    if stated := next((name for name in (*STATED, *NUMBERS) if name in marks), None):
+    if stated := next((name for name in (LENGTHS, *STATED, *NUMBERS) if name in marks), None):
         found = _ends(marks, (stated,), rows)
-        return Ends(found.lengths, found.signs, _contradiction(marks, marks[stated], stated))
+        lengths = store.vector(LENGTHS) if stated == LENGTHS else found.lengths  # told as they stand if they do not fit
+        return Ends(lengths, found.signs, _contradiction(marks, marks[stated], stated, observations))
 
-    flags = [name for name in (*TRUNCATIONS, *LAST_ROWS, *TERMINALS) if name in marks]
+    flags = [name for name in FLAGS if name in marks]
     others = [name for name in (*NEXT_STATES, *TIMES) if name in marks]
     if not flags and not others:
         raise store.fail(
@@ -84,33 +85,62 @@ def find_ends(
             "--episode-ends jumps)"
         )
     warnings = []
-    used = list(flags)
-    ends = _any(marks, [name for name in flags if name not in TERMINALS], rows)
-    for name in [name for name in flags if name in TERMINALS]:
-        alone = np.flatnonzero(marks[name] & ~ends)
-        if len(alone) and ends.any() and _goes_on(observations, alone, marks[name] | ends):
-            used.remove(name)
+    used = [name for name in (*flags, *others) if name not in (*LAST_ROWS, *TERMINALS)]
+    for name in [name for name in flags if name not in used]:
+        ends = _any(marks, used, rows)
+        alone = np.flatnonzero((marks[name] & ~ends)[:-1])
+        if len(alone) and ends[:-1].any() and _goes_on(observations, alone, marks[name] | ends):
             warnings.append(f"{len(alone):,} rows marked by {name} are followed by an ordinary step: no ends")
-    ends = _any(marks, used, rows)
+        else:
+            used.append(name)
+    ends = _any(marks, [name for name in used if name in flags], rows)
     for name in others:
-        used.append(name)
-        if flags and (count := np.sum(marks[name] & ~ends)):
+        if flags and (count := np.sum((marks[name] & ~ends)[:-1])):
             what = "another state than the next row's" if name in NEXT_STATES else "a gap in time"
             warnings.append(f"{count:,} rows that no flag marks have {what} ({name}): taken as ends too")
         ends |= marks[name]
-    unmarked = jumps & ~ends
-    if unmarked.any():
-        where = f"the goal space jumps after {np.sum(unmarked):,} rows that nothing marks"
-        if why := _marks_all(ends, jumps, observations):
+    unmarked = np.flatnonzero((jumps & ~ends)[:-1])
+    if len(unmarked) and ends[:-1].any() and (wraps := _wraps(observations, unmarked, jumps | ends)).any():
+        warnings.append(
+            f"after {wraps.sum():,} rows an entry crosses its whole range and all others go on, as where an angle "
+            "wraps or a switch snaps: no ends (as a goal, an angle is better given as its sine and cosine)"
+        )
+        unmarked = unmarked[~wraps]
+    if len(unmarked):
+        where = f"the goal space jumps after {len(unmarked):,} rows that nothing marks"
+        if why := _marks_all(ends, jumps, unmarked):
             warnings.append(f"{where}: no ends, since {why}")
         else:
+            ends[unmarked] = True
             used.append(JUMPS)
-            warnings.append(f"{where}: taken as ends {'too' if ends.any() else 'for want of others'}")
+            late = len(unmarked) > 2 and np.mean(flagged[np.maximum(unmarked - 1, 0)]) > 0.5
+            beside = " (flags are set a row early)" if late else ""
+            warnings.append(f"{where}{beside}: taken as ends {'too' if flagged.any() else 'for want of others'}")
     elif not ends.any():
         warnings.append(f"no row is marked as an end: read as one episode of {rows:,} rows")
-    found = _ends(marks, tuple(used), rows)
+    if reason := _out_of_sequence(observations, ends):
+        warnings.append(reason)
     hint = f" (say which signs to take with --episode-ends: {', '.join(marks)})" if warnings else ""
-    return Ends(found.lengths, found.signs, "; ".join(warnings) + hint if warnings else None)
+    warning = "; ".join(warnings) + hint if warnings else None
+    return Ends(lengths_from_ends(ends), _signs(marks, used), warning)
+
+
+def _chosen_ends(store: Store, observations: np.ndarray, achieved: np.ndarray | None, chosen: tuple[str, ...]) -> Ends:
+    """The user's word: these signs, whatever others say."""
+    rows = len(observations)
+    there = [name for name in (LENGTHS, *STATED, *NUMBERS, *FLAGS, *NEXT_STATES, *TIMES) if name in store.keys]
+    if unknown := [name for name in chosen if name not in (*there, JUMPS)]:
+        raise store.fail(
+            f"no sign of episode ends is called {unknown[0]!r} here; {names_like(unknown[0], [*there, JUMPS])}"
+        )
+    marks = _marks(store, observations, chosen)
+    if JUMPS in chosen and achieved is not None:
+        marks[JUMPS] = np.append(find_jumps(achieved, _any(marks, chosen, rows)), False)
+    if lacking := [name for name in chosen if name not in marks]:
+        raise store.fail(f"{lacking[0]} holds something else than a number for every row, and cannot mark ends")
+    if chosen == (LENGTHS,):
+        return Ends(store.vector(LENGTHS), _signs(marks, chosen))
+    return _ends(marks, chosen, rows)
 
 
 def lengths_from_ends(ends: np.ndarray) -> np.ndarray:
@@ -139,10 +169,9 @@ def find_jumps(achieved: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """
     if len(achieved) < 2:
         return np.zeros(0, bool)
-    with np.errstate(invalid="ignore", over="ignore"):  # NaN and inf are reported later, with their row
-        moved = np.linalg.norm(np.diff(achieved, axis=0), axis=1)
-        extent = np.linalg.norm(achieved.max(axis=0) - achieved.min(axis=0))
-        regular = moved[~ends[:-1] & (moved > _STILL_FRACTION * extent)]
+    moved = np.linalg.norm(np.diff(achieved, axis=0), axis=1)
+    extent = np.linalg.norm(achieved.max(axis=0) - achieved.min(axis=0))
+    regular = moved[~ends[:-1] & (moved > _STILL_FRACTION * extent)]
     if len(regular) < _FEWEST_MOVES:
         return np.zeros(len(moved), bool)
     far = moved > _JUMP_FACTOR * np.quantile(regular, 0.9, method="lower")
@@ -150,74 +179,127 @@ def find_jumps(achieved: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return far & (moved > _NEIGHBOUR_FACTOR * np.maximum(padded[:-2], padded[2:]))
 
 
-def _marks(store: Store, observations: np.ndarray) -> dict[str, np.ndarray]:
-    """sign -> [rows] bool: True where it says that an episode ends. Raises GuiderError for rows out of order."""
+def _marks(store: Store, observations: np.ndarray, only: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """sign -> [rows] bool: True where it says that an episode ends. only: these signs, taken as they are.
+
+    Raises GuiderError for rows out of order, unless the user names the signs.
+    """
     rows = len(observations)
     marks: dict[str, np.ndarray] = {}
-    if LENGTHS in store.keys:
-        lengths, marks[LENGTHS] = store.vector(LENGTHS), np.zeros(rows, bool)
+
+    def wanted(names: tuple[str, ...]) -> list[str]:
+        return [name for name in names if name in store.keys and (not only or name in only)]
+
+    for name in wanted((LENGTHS,)):
+        lengths, marks[name] = store.vector(name), np.zeros(rows, bool)
         if lengths.dtype.kind in "iu":
             last = np.cumsum(lengths[:rows], dtype=np.float64) - 1
-            marks[LENGTHS][last[(last >= 0) & (last < rows)].astype(np.int64)] = True
-    for name in (*STATED, *TRUNCATIONS, *LAST_ROWS, *TERMINALS):
-        if name in store.keys:
-            marks[name] = store.flags(name, rows)
-    for name in NUMBERS:
+            marks[name][last[(last >= 0) & (last < rows)].astype(np.int64)] = True
+    for name in wanted((*STATED, *FLAGS)):
+        marks[name] = store.flags(name, rows)
+    for name in wanted(NUMBERS):
         if (numbers := store.column(name, rows)) is not None:
             changes = numbers[1:] != numbers[:-1]
-            if np.sum(changes) + 1 > len(np.unique(numbers)):
-                raise _out_of_order(store, f"rows with the same {name} lie apart")
+            runs = int(np.sum(changes)) + 1
+            if not only and runs > len(np.unique(numbers)) and rows < 2 * runs:
+                raise _out_of_order(store, f"rows with the same {name} lie apart", name)
             marks[name] = np.append(changes, True)
-    for name in NEXT_STATES:
-        if name in store.keys and store.width(name) == observations.shape[1]:
-            marks[name] = _broken(store, name, observations)
-    for name in TIMES:
+    for name in wanted(NEXT_STATES):
+        if store.width(name) == observations.shape[1]:
+            marks[name] = _broken(store, name, observations, refuse=not only)
+    for name in wanted(TIMES):
         if (times := store.column(name, rows)) is not None and np.isfinite(times).all():
-            passed = np.diff(times.astype(np.float64))
-            if np.mean(passed < 0) > 0.5:
-                raise _out_of_order(store, f"{name} goes back after more than half of them")
-            usual = np.median(passed[passed > 0]) if (passed > 0).any() else np.inf
-            marks[name] = np.append((passed < 0) | (passed > _GAP_FACTOR * usual), True)
+            marks[name] = _gaps(store, name, times.astype(np.float64), refuse=not only)
     return marks
 
 
-def _broken(store: Store, name: str, observations: np.ndarray) -> np.ndarray:
+def _gaps(store: Store, name: str, times: np.ndarray, refuse: bool) -> np.ndarray:
+    """[rows] bool: after which rows a recording broke off, and True for the last.
+
+    A gap is more than 20 usual steps and 4 times the steps that all but a tenth keep to, so that lost packets and those
+    that come in bursts are none; time that goes back by 5 usual steps is another recording's.
+    """
+    passed = np.diff(times)
+    if refuse and np.mean(passed < 0) > 0.5:
+        raise _out_of_order(store, f"{name} goes back after more than half of them", name)
+    forward = passed[passed > 0]
+    usual = np.median(forward) if len(forward) else np.inf
+    most = np.quantile(forward, 0.9, method="lower") if len(forward) else np.inf
+    gap = passed > max(_GAP_STEPS * usual, _GAP_FACTOR * most)
+    return np.append(gap | (passed < -_BACK_STEPS * usual), True)
+
+
+def _broken(store: Store, name: str, observations: np.ndarray, refuse: bool) -> np.ndarray:
     """[rows] bool: whether the next row is another state than the row's next state, and True for the last."""
     followers = store.matrix(name)
     if len(followers) != len(observations):
         raise store.fail(f"{name} has {len(followers)} rows but observations have {len(observations)}")
-    off = np.abs(followers[:-1] - observations[1:]) > 1e-6 + 1e-4 * np.abs(observations[1:])
-    same = ~off.any(axis=1)
-    if np.mean(~same) > 0.5:
-        raise _out_of_order(store, f"{name} of {np.sum(~same):,} of {len(off):,} rows is not the next row")
+    tolerance = 1e-3 * observations.std(axis=0) + 1e-3 * np.abs(observations[1:])  # half precision is enough
+    same = ~(np.abs(followers[:-1] - observations[1:]) > tolerance + 1e-6).any(axis=1)
+    if refuse and np.mean(~same) > 0.5:
+        raise _out_of_order(store, f"{name} of {np.sum(~same):,} of {len(same):,} rows is not the next row", name)
     return np.append(~same, True)
 
 
-def _out_of_order(store: Store, reason: str) -> GuiderError:
+def _out_of_order(store: Store, reason: str, name: str) -> GuiderError:
     return store.fail(
         f"the rows are shuffled ({reason}), as in a replay buffer, and episodes cannot be told from it; save them in "
-        "the order they were recorded"
+        f"the order they were recorded, or, if they are and {name} is wrong, say what to go by (--episode-ends)"
     )
 
 
-def _any(marks: dict[str, np.ndarray], names: tuple[str, ...] | list[str], rows: int) -> np.ndarray:
+def _out_of_sequence(observations: np.ndarray, ends: np.ndarray) -> str | None:
+    """Why rows do not seem to follow each other: no state entry is nearer to its next value than to any other's."""
+    inside = np.flatnonzero(~ends[:-1])
+    varying = np.ptp(observations, axis=0) > 0
+    if len(observations) < _FEWEST_ROWS or len(inside) < _FEWEST_ROWS / 2 or not varying.any():
+        return None
+    elsewhere = np.random.default_rng(0).permutation(len(observations) - 1)
+
+    def moved(rows: np.ndarray, to: np.ndarray) -> np.ndarray:
+        some = np.linspace(0, len(rows) - 1, min(len(rows), _STEPS_COMPARED)).astype(int)
+        return np.abs(observations[to[some]][:, varying] - observations[rows[some]][:, varying]).mean(axis=0)
+
+    apart = moved(elsewhere, elsewhere[::-1])
+    if (moved(inside, inside + 1) / np.maximum(apart, 1e-30)).min() < _UNRELATED:
+        return None
+    reason = "the rows do not seem to follow each other: the next is as far as any other"
+    rows = np.arange(len(observations))
+    for count in range(2, _MOST_ENVIRONMENTS + 1):
+        if len(rows) > 4 * count and (moved(rows[:-count], rows[count:]) / np.maximum(apart, 1e-30)).min() < 0.5:
+            return f"{reason}, but for every {count}th: as if {count} environments were written in turns"
+    return reason
+
+
+def _any(marks: dict[str, np.ndarray], names: Sequence[str], rows: int) -> np.ndarray:
     """[rows] bool: rows that one of the named signs marks."""
     return np.any([marks[name] for name in names if name in marks] or [np.zeros(rows, bool)], axis=0)
 
 
-def _ends(marks: dict[str, np.ndarray], used: tuple[str, ...], rows: int) -> Ends:
-    signs = tuple(EndSign(name, int(mark.sum()), name in used) for name, mark in marks.items())
-    return Ends(lengths_from_ends(_any(marks, used, rows)), signs)
+def _ends(marks: dict[str, np.ndarray], used: Sequence[str], rows: int) -> Ends:
+    return Ends(lengths_from_ends(_any(marks, used, rows)), _signs(marks, used))
 
 
-def _contradiction(marks: dict[str, np.ndarray], ends: np.ndarray, stated: str) -> str | None:
-    """What speaks against the ends that a file states. A terminal within an episode does not, nor does a jump."""
-    for name in (*STATED, *NUMBERS, *TRUNCATIONS, *LAST_ROWS, *NEXT_STATES, *TIMES):
-        if name in marks and (count := np.sum(marks[name] & ~ends)):
+def _signs(marks: dict[str, np.ndarray], used: Sequence[str]) -> tuple[EndSign, ...]:
+    return tuple(EndSign(name, int(mark.sum()), name in used) for name, mark in marks.items())
+
+
+def _contradiction(marks: dict[str, np.ndarray], ends: np.ndarray, stated: str, observations: np.ndarray) -> str | None:
+    """What speaks against the ends that a file states: not terminals where the state goes on, nor angles that wrap."""
+    for name in marks:
+        unstated = np.flatnonzero((marks[name] & ~ends)[:-1])
+        if name in (*LAST_ROWS, *TERMINALS) and len(unstated) and _goes_on(observations, unstated, marks[name] | ends):
+            continue
+        if name == JUMPS and len(unstated):
+            unstated = unstated[~_wraps(observations, unstated, marks[name] | ends)]
+            if _marks_all(ends, marks[JUMPS], unstated):
+                continue
+        if len(unstated):
             return (
-                f"{name} marks {count:,} ends that {stated} does not; {stated} is taken (else: --episode-ends {name})"
+                f"{name} marks {len(unstated):,} ends that {stated} does not; {stated} is taken (else: --episode-ends "
+                f"{name})"
             )
-    return None
+    return _out_of_sequence(observations, ends)
 
 
 def _goes_on(observations: np.ndarray, flagged: np.ndarray, marked: np.ndarray) -> bool:
@@ -238,25 +320,29 @@ def _goes_on(observations: np.ndarray, flagged: np.ndarray, marked: np.ndarray) 
     return bool(np.median(lengths[0]) <= np.quantile(lengths[1], 0.9))
 
 
-def _marks_all(ends: np.ndarray, jumps: np.ndarray, observations: np.ndarray) -> str | None:
+def _wraps(observations: np.ndarray, rows: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """[n] bool: whether after each of the rows some state entries cross nearly all that they range over and all others
+    go on as after rows that nothing marks. marked: [all rows] bool."""
+    ordinary = np.flatnonzero(~marked[:-1])
+    if len(ordinary) == 0:
+        return np.zeros(len(rows), bool)
+    moved = np.abs(observations[rows + 1].astype(np.float64) - observations[rows])
+    usual = _JUMP_FACTOR * np.quantile(np.abs(_steps(observations, ordinary)), 0.9, axis=0)
+    crossed = (moved >= _WRAP_FRACTION * np.ptp(observations, axis=0)) & (moved > 0)
+    return crossed.any(axis=1) & (crossed | (moved <= usual)).all(axis=1)
+
+
+def _marks_all(ends: np.ndarray, jumps: np.ndarray, unmarked: np.ndarray) -> str | None:
     """Why the marked ends must be all there are, although there are jumps elsewhere; None where that is not evident.
 
-    Either the marked episodes are all equally long and mostly end in jumps, so that other jumps are part of the motion
-    (a teleporter), or at each of the other jumps some state entries cross nearly all that they range over (an angle
-    that wraps) and all others go on as usual.
+    The marked episodes are all equally long and mostly end in jumps, and the other jumps come now here, now there in
+    them: they are part of the motion (a teleporter).
     """
-    if not ends.any():
-        return None
     lengths = lengths_from_ends(ends)
-    if len(lengths) > 2 and len(np.unique(lengths)) == 1 and np.mean(jumps[ends]) > 0.5:
-        return f"all marked episodes have {lengths[0]:,} rows"
-    rows, ordinary = np.flatnonzero(jumps & ~ends), np.flatnonzero(~(jumps | ends)[:-1])
-    moved = np.abs(_steps(observations, rows))
-    usual = _JUMP_FACTOR * np.quantile(np.abs(_steps(observations, ordinary)), 0.9, axis=0)
-    crossed = moved >= _WRAP_FRACTION * np.ptp(observations, axis=0)
-    if (crossed | (moved <= usual)).all():
-        return "each crosses the whole range of an entry, as an angle does that wraps"
-    return None
+    if len(lengths) < 3 or len(np.unique(lengths)) > 1 or np.mean(jumps[:-1][ends[:-1]]) <= 0.5:
+        return None
+    places = len(np.unique(unmarked % lengths[0]))
+    return f"all marked episodes have {lengths[0]:,} rows" if places > 0.5 * len(unmarked) else None
 
 
 def _steps(observations: np.ndarray, rows: np.ndarray) -> np.ndarray:
