@@ -14,7 +14,7 @@ import numpy as np
 from guider import data as data_sources
 from guider import runs
 from guider.config import differences, override
-from guider.episodes import Episodes
+from guider.episodes import IN_MEMORY, Episodes
 from guider.errors import GuiderError
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.files import user_path
@@ -79,12 +79,12 @@ def train(
     seeds = tuple(_whole(seed, "seeds") for seed in listed)
     _check_seeds(seeds)
     cache = _cache(stage_cache, evaluate_every)
-    directory = user_path(out) if out else default_directory(task, method, preset)
+    directory = default_directory(task, method, preset) if out is None else user_path(out)
     runs.check_free(directory)
     problem, episodes, config = _settle(
         task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, settings
     )
-    held_out = (0.1 if task is None else 0.0) if held_out is None else float(held_out)
+    held_out = (0.1 if task is None else 0.0) if held_out is None else _number(held_out, "held_out")
     if not 0 <= held_out < 1:
         raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
     training, unseen = episodes.split(held_out) if held_out else (episodes, None)
@@ -129,21 +129,27 @@ def inspect(
 ) -> dict[str, Any]:
     """What logged data holds (see guider.data.describe) and, given a task or a radius, what `train` would make of it:
     options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state."""
+    if task is None and radius is None and (reach_radius is not None or period_steps is not None):
+        raise GuiderError("--reach-radius and --period-steps say how to train; give --task or --radius with them")
+    named = find_task(task).goal_indices if task is not None and goal_indices is None else goal_indices
+    episodes = data_sources.load(data, named, format=format, episode_ends=episode_ends, assumed_goal=(0, 1))
+    description = data_sources.describe(episodes)
     if task is None and radius is None:
-        assumed = None if goal_indices else (0, 1)
-        episodes = data_sources.load(data, goal_indices, format=format, episode_ends=episode_ends, assumed_goal=assumed)
-        return data_sources.describe(episodes)
-    problem, episodes, config = _settle(
-        task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, None
+        return description
+    given = None if task is None else goal_indices
+    problem, _, config = _settle(
+        task, episodes, given, radius, reach_radius, period_steps, None, (), method, preset, None
     )
-    return data_sources.describe(episodes) | {
+    use = data_use(config.view, problem, episodes)
+    refused = "" if use.windows else f"; {no_window(episodes, problem.period_steps, config.view.minimum_move)}"
+    return description | {
         "training": {
             "method": method,
             "preset": preset,
             "radius": problem.radius,
             "reach_radius": problem.reach_radius,
             "period_steps": problem.period_steps,
-            "data_use": str(data_use(config.view, problem, episodes)),
+            "data_use": f"{use}{refused}",
         }
     }
 
@@ -191,10 +197,12 @@ def _settle(
             )
         episodes = _episodes(data, goal_indices, format, episode_ends)
         period = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
-        problem = Problem(float(radius), 2 * float(radius), period)
+        period = min(period, int(episodes.lengths.max()) - 1)
+        radius = _number(radius, "radius")
+        problem = Problem(radius, 2 * radius, period)
         check_radius(problem, episodes)
     if reach_radius is not None:
-        problem = replace(problem, reach_radius=float(reach_radius))
+        problem = replace(problem, reach_radius=_number(reach_radius, "reach_radius"))
     if period_steps is not None:
         problem = replace(problem, period_steps=_whole(period_steps, "period_steps"))
     return problem, episodes, override(preset_config(method, preset, problem), settings or {})
@@ -248,19 +256,20 @@ def keep_score(run: str | Path | Run, result: dict[str, Any]) -> None:
 def score(
     run: str | Path | Run,
     *,
-    episodes: int = 100,
-    first_seed: int = 0,
+    episodes: int | None = None,
+    first_seed: int | None = None,
     data: str | Path | Episodes | None = None,
     on_steps: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """The score of a finished run's last checkpoint.
 
-    On a task: `episodes` episodes for every seed, environment seeds first_seed + seed index * episodes + e.
+    On a task: `episodes` episodes (100) for every seed, environment seeds first_seed (0) + seed index * episodes + e.
     On one's own data: the episodes that training never saw (see guider.heldout).
     Returns the score with its protocol: environment, data, preset and its departures, seeds, interval.
     """
-    if episodes < 1 or first_seed < 0:
-        raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {episodes} and {first_seed}")
+    count, first = 100 if episodes is None else episodes, 0 if first_seed is None else first_seed
+    if count < 1 or first < 0:
+        raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {count} and {first}")
     opened = _open(run)
     spec = opened.spec
     policies = opened.policies()
@@ -278,6 +287,12 @@ def score(
         "checkpoint": "last",
         "versions": runs.versions(),
     }
+    if spec.task is None and (episodes is not None or first_seed is not None):
+        raise GuiderError(
+            "a run on one's own data is scored on held-out episodes; leave --episodes and --first-seed out"
+        )
+    if spec.task is not None and data is not None:
+        raise GuiderError(f"{spec.task} is scored in its environment; leave --data out")
     if spec.task is None:
         logged = _same_data(opened, data)
         if spec.held_out == 0:
@@ -295,13 +310,13 @@ def score(
             return rollout(
                 policy,
                 task,
-                episodes,
-                first_seed + index * episodes,
+                count,
+                first + index * count,
                 on_steps=lambda done, of: on_steps(index * of + done, len(policies) * of),
             )
 
         outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
-        result = protocol | _summary(task, outcomes, first_seed)
+        result = protocol | _summary(task, outcomes, first)
     return result
 
 
@@ -351,6 +366,8 @@ def _seed_index(run: Run, seed: int | None) -> int:
 def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
     """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same."""
     spec = run.spec
+    if data is None and spec.data == IN_MEMORY:
+        raise GuiderError(f"{run.directory} was trained on arrays in memory; give the same Episodes (data=episodes)")
     try:
         given = spec.data if data is None else data
         episodes = _episodes(given, spec.spaces.goal_indices, spec.format, spec.episode_ends)
@@ -449,6 +466,13 @@ def _whole(number: Any, name: str) -> int:
     if isinstance(number, bool) or not isinstance(number, int | np.integer):
         raise GuiderError(f"{name} must be a whole number, got {number!r}")
     return int(number)
+
+
+def _number(number: Any, name: str) -> float:
+    """The number as a float, NumPy's too. Raises GuiderError for anything else."""
+    if isinstance(number, bool) or not isinstance(number, int | float | np.number):
+        raise GuiderError(f"{name} must be a number, got {number!r}")
+    return float(number)
 
 
 def _lasting(data: str | Path | Episodes | None, episodes: Episodes) -> str:

@@ -98,7 +98,7 @@ def train(
         method, preset, seeds = method or "guider", preset or "fast", 1 if seeds is None else seeds
         if seeds < 1:
             raise GuiderError(f"--seeds must be 1 or more, got {seeds}")
-        directory = user_path(out) if out else api.default_directory(task, method, preset)
+        directory = user_path(out) if out is not None else api.default_directory(task, method, preset)
     sink = sinks.sink(log_to, directory)
     with _stage_bars() as (say, show):
         if resume is not None:
@@ -133,8 +133,8 @@ def train(
 
 def evaluate(
     run: RunDirectory,
-    episodes: int = 100,
-    first_seed: int = 0,
+    episodes: int | None = None,
+    first_seed: int | None = None,
     data: str | None = None,
     as_json: Json = False,
 ) -> None:
@@ -144,8 +144,8 @@ def evaluate(
 
     Args:
         run: Directory of the run.
-        episodes: Episodes per trained seed.
-        first_seed: Environment seeds count up from here.
+        episodes: Task only: episodes per trained seed, by default 100.
+        first_seed: Task only: environment seeds count up from here, by default 0.
         data: Own data only: where the run's data is now, if it has moved.
         as_json: Print one JSON document instead of text.
     """
@@ -278,6 +278,8 @@ def data(
         shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
         lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items()]
         _answer(description, "\n".join(lines), as_json)
+    elif source is None and (out is not None or mirror is not None):
+        raise GuiderError("say what to fetch: guider data fetch NAME; without a name it lists what there is")
     elif source is None:
         rows = [{"name": found.name, "source": found.source} for found in CATALOGUE.values()]
         _answer(rows, "\n".join(f"{row['name']:32}  {row['source']}" for row in rows), as_json)
@@ -373,6 +375,8 @@ def reproduce(
     from guider.reproduce import report, runner
     from guider.reproduce.plans import Protocol, make_plan
 
+    if dry_run and report_only:
+        raise GuiderError("--dry-run shows what would be run, --report-only runs nothing; give one of them")
     protocol = Protocol(preset, seeds, first_seed, episodes, _assignments(set), user_path(data), user_path(out))
     plan = make_plan(target, protocol, tasks, methods)
     if dry_run:

@@ -8,6 +8,8 @@ import json
 import types
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from guider.errors import GuiderError, names_like
 
 C = TypeVar("C")
@@ -111,7 +113,9 @@ def _of_kind(options: list[Any], value: Any, where: str) -> Any:
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
-    """`value` as JSON or a command line gives it, as the type the hint names."""
+    """`value` as JSON, NumPy or a command line gives it, as the type the hint names."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if isinstance(value, dict):
             return from_dict(hint, value, where)

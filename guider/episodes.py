@@ -12,6 +12,7 @@ import numpy as np
 
 from guider.errors import GuiderError, GuiderWarning
 
+IN_MEMORY = "arrays in memory"
 SMALLEST_SPREAD = 1e-3
 """Of a state entry, in its own unit: smaller ones are shown to networks as if they were this."""
 GoalSpaceFrom = Literal["asked for", "the source", "assumed"]
@@ -163,8 +164,8 @@ class Episodes:
         n_held = max(1, round(held_out * count))
         if not 0 < n_held < count:
             raise GuiderError(
-                f"{self.source}: cannot hold out {held_out:.0%} of {count} episodes; "
-                "at least one must be held out and one must remain"
+                f"{self.source}: cannot hold out {held_out:.0%} of {count} episodes, at least one must be held out and "
+                "one must remain; learn from all (--held-out 0), or record more"
             )
         order = np.random.default_rng(0).permutation(count)
         return self.select(np.sort(order[n_held:])), self.select(np.sort(order[:n_held]))
@@ -174,7 +175,7 @@ _FEW_SINGLE, _SINGLE_FRACTION = 10, 0.01
 _BLOCK_ROWS = 1 << 16
 _MOST_LOST = 0.01
 _FAR_FROM_ZERO = 4096.0
-_BOUND_TOLERANCE = 2e-4  # rounding, in the unit box; relative to half the range elsewhere
+_BOUND_TOLERANCE = 2e-3  # rounding, in the unit box; relative to half the range elsewhere
 
 
 def make_episodes(
@@ -186,7 +187,7 @@ def make_episodes(
     goals: np.ndarray | None = None,
     action_low: np.ndarray | float | None = None,
     action_high: np.ndarray | float | None = None,
-    source: str = "arrays in memory",
+    source: str = IN_MEMORY,
     end_signs: tuple[EndSign, ...] = (),
 ) -> Episodes:
     """Validate flat arrays and make Episodes of them.
@@ -274,6 +275,8 @@ def _immutable(array: np.ndarray) -> np.ndarray:
 
 def check_goal_indices(goal_indices: Sequence[int], state_dim: int, source: str) -> tuple[int, ...]:
     """The indices as ints. Raises GuiderError unless they name entries of a state, each once."""
+    if isinstance(goal_indices, str) or not all(isinstance(i, int | np.integer) for i in goal_indices):
+        raise GuiderError(f"{source}: goal indices must be whole numbers, got {goal_indices!r}")
     indices = tuple(int(i) for i in goal_indices)
     if not indices or len(set(indices)) != len(indices):
         raise GuiderError(f"{source}: goal indices {indices} must name at least one state entry, each once")
@@ -346,7 +349,10 @@ def _action_bounds(actions: np.ndarray, low, high, fail) -> tuple[np.ndarray, np
         raise fail("action bounds hold NaN or inf")
     if np.any(low >= high):
         entry = int(np.argmax(low >= high))
-        raise fail(f"action entry {entry} has bounds [{low[entry]:g}, {high[entry]:g}]: it never changes")
+        raise fail(
+            f"action entry {entry} has bounds [{low[entry]:g}, {high[entry]:g}]: it never changes; leave that column "
+            "out, or say what range it has (action_low and action_high in the file)"
+        )
     tolerance = _BOUND_TOLERANCE / 2 * (high - low)
     outside = (seen_low < low - tolerance) | (seen_high > high + tolerance)
     if outside.any():

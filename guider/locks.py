@@ -58,6 +58,14 @@ def hold(lock: Path, busy: str, waiting: Callable[[str], None] | None = None) ->
         os.close(descriptor)
 
 
+def clear_free(folder: Path, pattern: str) -> None:
+    """Remove the lock files that nobody holds: a killed holder leaves its own behind."""
+    for lock in folder.glob(pattern):
+        if (descriptor := _take(lock)) is not None:
+            lock.unlink(missing_ok=True)
+            os.close(descriptor)
+
+
 def _take(lock: Path) -> int | None:
     """The descriptor of the lock, which is ours now, or None while another holds it."""
     descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
 
 PyTree = Any
@@ -94,6 +95,7 @@ class Agent:
 
     def __init__(self, policy: Policy):
         self.policy = policy
+        self._told = False
         self.reset()
 
     def reset(self) -> None:
@@ -105,11 +107,35 @@ class Agent:
         """The action for this step. Raises GuiderError if shapes or values do not fit the policy."""
         observation = _vector(observation, self.policy.state_dim, "observation")
         goal = _vector(goal, self.policy.goal_dim, "goal")
+        self._tell_of_what_is_far_off(observation, goal)
         actions, self._state = compiled_act(
             self.policy, observation[None], goal[None], self._state, jnp.asarray([self._begins])
         )
         self._begins = False
         return np.asarray(actions[0])
+
+    def _tell_of_what_is_far_off(self, observation: np.ndarray, goal: np.ndarray) -> None:
+        """Warn, once, of a state or goal that `act` takes for the limits of the data."""
+        low, high = self.policy.state_low, self.policy.state_high
+        if self._told or low is None or high is None:
+            return
+        low, high = np.asarray(low), np.asarray(high)
+        entries = list(self.policy.goal_indices)
+        for name, values, least, most in (
+            ("state", observation, low, high),
+            ("goal", goal, low[entries], high[entries]),
+        ):
+            outside = (values < least) | (values > most)
+            if outside.any():
+                self._told = True
+                entry = int(np.argmax(outside))
+                warnings.warn(
+                    GuiderWarning(
+                        f"{name} entry {entry} is {values[entry]:g}, far from anything in the data (taken for the "
+                        f"limit of {least[entry]:g} to {most[entry]:g}); is it in the data's units and frame?"
+                    ),
+                    stacklevel=3,
+                )
 
     @property
     def subgoal(self) -> np.ndarray:

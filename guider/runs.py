@@ -234,10 +234,8 @@ def check_free(directory: Path) -> None:
         return
     except (OSError, ValueError) as error:
         raise GuiderError(f"{str(directory)[:40]}: no run can be there ({error}); choose another --out") from error
-    raise GuiderError(
-        f"{directory} exists already and is never overwritten; choose another --out, or continue it with "
-        f"{_resume(directory)}"
-    )
+    more = f", or continue it with {_resume(directory)}" if (directory / "run.json").exists() else ""
+    raise GuiderError(f"{directory} exists already and is never overwritten; choose another --out{more}")
 
 
 @contextmanager
@@ -292,6 +290,9 @@ def _train(
     with _writing(run.directory, kept):
         for path in (metrics, run.directory / "evaluations.jsonl"):
             _drop_later_lines(path, total_updates(stages, reached))
+    if cache is not None:
+        with _writing(cache, "make it writable, or leave --stage-cache out"):
+            stage_cache.clear(cache)
     saved, saved_at = reached, time.monotonic()
     entry = None  # of the stage being trained, in the cache
     held = ExitStack()  # the lock of that entry

@@ -210,11 +210,11 @@ def no_window(episodes: Episodes, period_steps: int, minimum_move: float) -> str
     furthest = {steps: moves(episodes, steps).max() for steps in (period_steps, *_longer(period_steps, longest))}
     here = furthest[period_steps]
     enough = next((steps for steps, move in furthest.items() if move >= minimum_move), None)
-    longer = f"a longer period (--period-steps {enough}) or " if enough else ""
+    longer = f"a longer period (--period-steps {enough}), or " if enough else ""
     return (
         f"no window of {period_steps} steps moves {minimum_move:g} in goal space (view.minimum_move), the furthest "
-        f"moves {here:.3g}; choose {longer}a smaller distance (--reach-radius {here / 2:.2g}, or --set "
-        "view.minimum_move=0 to learn from every row)"
+        f"moves {here:.3g}; choose {longer}a smaller distance (--set view.minimum_move={here / 2:.2g}; 0 learns from "
+        "every row)"
     )
 
 

@@ -26,7 +26,7 @@ from jax.extend.core import Var
 from guider import checkpoint
 from guider.errors import GuiderError, GuiderWarning
 from guider.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
-from guider.locks import hold
+from guider.locks import clear_free, hold
 from guider.training import Position, Stage
 
 PyTree = Any
@@ -82,10 +82,16 @@ def keep(entry: Path, position: Position, part: PyTree, metrics: list[dict[str, 
         raise
 
 
+def clear(directory: Path) -> None:
+    """Remove what killed processes left of entries."""
+    if directory.is_dir():
+        clear_leftovers(directory, r"[0-9a-f]{32}")
+        clear_free(directory, f".{'[0-9a-f]' * 32}.lock")
+
+
 @contextmanager
 def training(entry: Path, waiting: Callable[[str], None]) -> Iterator[None]:
     """Within, no other process trains the stage of this entry. While one does, `waiting` is told again and again."""
     entry.parent.mkdir(parents=True, exist_ok=True)
     with hold(entry.with_name(f".{entry.name}.lock"), f"the stage of {entry} is being trained", waiting):
-        clear_leftovers(entry.parent, entry.name)
         yield

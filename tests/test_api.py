@@ -47,6 +47,7 @@ def plan(started, **options) -> Any:
     return started[-1][1]
 
 
+@pytest.mark.filterwarnings("ignore:.*the median step goes")
 def test_the_goal_space_asked_for_is_trained(started):
     assert plan(started).spaces.goal_indices == (0, 1)
     assert plan(started, goal_indices=(2, 3)).spaces.goal_indices == (2, 3)
@@ -130,7 +131,7 @@ def test_no_window_says_what_would_help():
 def test_held_out_episodes_that_cannot_be_scored_are_told_before_training(started):
     lengths = [60, *[4] * 15]
     with pytest.raises(GuiderError, match=r"episodes held out could not be scored: .*--held-out 0"):
-        plan(started, data=episodes(lengths=lengths), radius=0.05, held_out=0.1, settings={"view.boundary": "drop"})
+        plan(started, data=episodes(lengths=lengths), radius=0.1, held_out=0.1, settings={"view.boundary": "drop"})
     assert not started
 
 
@@ -140,7 +141,9 @@ def test_map_coordinates_are_refused_with_what_to_do(started):
     observations[:, 1] = observations[:, 1] / 50 + 5411932.6
     with pytest.warns(GuiderWarning, match=r"observations column 1 varies by .* around 541193.*subtract an origin"):
         data = make_episodes(observations, arrays["actions"], LENGTHS, GOAL)
-    with pytest.raises(GuiderError, match=r"goal entry 1 .*only steps of 0.5: too coarse for the radius 0.1; subtract"):
+    with pytest.raises(
+        GuiderError, match=r"goal entry 1 .*only steps of 0.5: too coarse for the radius 0.1; .*subtract"
+    ):
         plan(started, data=data, radius=0.1)
 
 
@@ -160,6 +163,44 @@ def test_data_that_has_moved_is_asked_for(tmp_path, monkeypatch):
     with pytest.raises(GuiderError, match=r"no such file \(what .* was trained on; if it has moved: --data PLACE\)"):
         api.evaluate(run)
     assert api.evaluate(run, data=tmp_path / "moved.npz")["held_out_episodes"] == 1
+
+
+@pytest.mark.parametrize(
+    ("radius", "message"),
+    [
+        (0.01, r"the median step goes .*, past the radius 0.01; is that its unit"),
+        (4.0, r"\d+% of the episodes end within"),
+    ],
+)
+def test_a_radius_in_another_unit_is_told(started, radius, message):
+    with pytest.warns(GuiderWarning, match=message):
+        plan(started, radius=radius)
+
+
+def test_the_period_fits_the_longest_episode(started):
+    assert plan(started, data=episodes(lengths=[4] * 40), radius=0.1).config.problem.period_steps == 3
+
+
+def test_a_run_on_arrays_asks_for_them(tmp_path):
+    data = episodes()
+    settings = {"updates": 2, "hidden": (8,), "batch_size": np.int64(8)}
+    run = api.train(data=data, radius=0.5, method="bc", settings=settings, out=tmp_path / "run")
+    with pytest.raises(GuiderError, match=r"was trained on arrays in memory; give the same Episodes \(data=episodes\)"):
+        api.evaluate(run)
+    with pytest.raises(GuiderError, match="leave --episodes and --first-seed out"):
+        api.evaluate(run, data=data, episodes=3)
+    api.evaluate(run, data=data)
+    agent = guider.load(run)
+    agent.act(data.observations[0], [1, 1])
+    with pytest.warns(GuiderWarning, match=r"goal entry 0 is 3000, far from anything in the data .*units and frame"):
+        agent.act(data.observations[0], [3000, 4000])
+    agent.act(data.observations[0], [3000, 4000])  # once is enough
+
+
+@pytest.mark.parametrize("indices", [(0.0, 1.7), "01"])
+def test_goal_indices_are_whole_numbers(indices):
+    with pytest.raises(GuiderError, match="goal indices must be whole numbers"):
+        episodes(indices)
 
 
 # The command line
@@ -224,7 +265,11 @@ def test_inspect_says_who_named_the_goal_space_and_what_training_would_use(logs,
     assert description["resting_action"] == [0, 0]
     assert main(["data", "inspect", "logs.npz"]) == 0
     assert "episode ends  lengths 10 (not taken: jumps 9)" in capsys.readouterr().out
+    assert main(["data", "inspect", "logs.npz", "--radius", "0.5"]) == 0
     assert main(["data", "inspect", "logs.npz", "--out", "x"]) == 1
+    assert main(["data", "inspect", "logs.npz", "--period-steps", "5"]) == 1
+    assert main(["data", "fetch", "--out", "x"]) == 1
+    assert main(["reproduce", "table2", "--dry-run", "--report-only"]) == 1
     assert main(["data", "fetch", "--radius", "1"]) == 1
 
 

@@ -61,6 +61,12 @@ def test_goals_of_another_goal_space_are_left_out(tmp_path):
     path = write_hdf5(tmp_path / "a.hdf5", antmaze([30, 40]))
     assert load(path, GOAL).goals is not None
     assert load(path, (0, 1, 2)).goals is None
+    arrays = antmaze([30, 40])
+    arrays["observations"][:, 2:4] /= 100
+    arrays["infos/goal"] += 5
+    path = write_hdf5(tmp_path / "b.hdf5", arrays)
+    with pytest.warns(GuiderWarning, match="infos/goal lies elsewhere than where the goal entries go: left out"):
+        assert load(path, (2, 3)).goals is None
 
 
 # Kitchen
@@ -69,7 +75,9 @@ def test_goals_of_another_goal_space_are_left_out(tmp_path):
 def test_kitchen_terminals_end_episodes_and_the_goal_half_is_the_goal(tmp_path):
     rng = np.random.default_rng(0)
     arrays = {
-        "observations": rng.normal(size=(90, 60)).astype(np.float32),
+        "observations": np.hstack([rng.normal(size=(90, 30)), np.repeat(rng.normal(size=(3, 30)), 30, axis=0)]).astype(
+            "f4"
+        ),
         "actions": rng.uniform(-1, 1, (90, 9)).astype(np.float32),
         "terminals": ends([40, 50]),
         "timeouts": ends([20, 70]),
@@ -90,7 +98,9 @@ def test_kitchen_of_gymnasium_robotics_becomes_the_same_states(tmp_path):
     arrays = walk([30, 30], state_dim=59, action_dim=9) | {"terminals": ends([30, 30])}
     arrays["observations"][:] = np.arange(59.0)
     arrays["observations"][10:30, 20] += 0.7  # a switch that snaps over
-    episodes = load(write_hdf5(tmp_path / "k.hdf5", arrays), range(9, 30))
+    path = write_hdf5(tmp_path / "k.hdf5", arrays)
+    assert load(path, range(9, 30)).observations.shape == (60, 59), "any robot may have 59 state entries"
+    episodes = load(path, range(9, 30), format="d4rl-kitchen")
     assert episodes.lengths.tolist() == [30, 30]
     assert episodes.goals is None
     np.testing.assert_array_equal(episodes.observations[0], [*range(9), *range(18, 39)])

@@ -216,6 +216,7 @@ def test_objects_are_refused_without_unpickling(tmp_path):
         ("infos/goal", np.full((60, 2), np.nan), "goals hold NaN or inf"),
     ],
 )
+@pytest.mark.filterwarnings("ignore::guider.GuiderWarning")
 def test_malformed_arrays(tmp_path, key, array, message):
     path = write_hdf5(tmp_path / "a.hdf5", antmaze([30, 30]) | {key: array})
     with pytest.raises(GuiderError, match=message):

@@ -12,7 +12,7 @@ import numpy as np
 from guider.data.arrays import read_arrays
 from guider.data.catalogue import MINARI_PREFIX
 from guider.data.describe import describe
-from guider.data.kitchen import KITCHEN_ACTIONS, KITCHEN_COLUMNS, kitchen_states, read_kitchen
+from guider.data.kitchen import KITCHEN_ACTIONS, kitchen_states, read_kitchen
 from guider.data.minari import dataset_directory, read_minari
 from guider.data.safety import check_path
 from guider.data.store import Recording, Store, open_store
@@ -44,7 +44,7 @@ def load(
     format: one of FORMATS; None tells it by content:
         minari        'minari:ID', or a directory (or main_data.hdf5) that Minari wrote
         wgcsl         a pickle; it is read without unpickling
-        d4rl-kitchen  `terminals` or `timeouts`, 9 actions and 30, 59 or 60 numbers a row
+        d4rl-kitchen  `terminals`, 9 actions and 30 numbers a row, or 60 of which the last 30, a goal, stay
         arrays        any other HDF5 or npz file: one's own, D4RL's, OGBench's
     episode_ends: which signs of where episodes end to take, by name; () decides, see guider.data.ends
     action_low, action_high: bounds of a valid action; where None, those the source states, else inferred
@@ -59,7 +59,8 @@ def load(
             f"unknown data format {format!r}; there are {', '.join(FORMATS)} (arrays: D4RL's, OGBench's and one's own)"
         )
     asked = None if goal_indices is None else tuple(goal_indices)
-    recording = _read(name, asked, assumed_goal, format, tuple(episode_ends))
+    signs = (episode_ends,) if isinstance(episode_ends, str) else tuple(episode_ends)
+    recording = _read(name, asked, assumed_goal, format, signs)
     if recording.warning:
         warnings.warn(GuiderWarning(f"{name}: {recording.warning}"), stacklevel=2)
     known = asked or recording.goal_indices
@@ -124,6 +125,10 @@ def _no_choice(name: str, episode_ends: tuple[str, ...]) -> None:
 
 
 def _is_kitchen(store: Store) -> bool:
+    """Whether a file is D4RL's kitchen: by its widths and, of 60 numbers, by a goal that stays from row to row."""
     if not {"observations", "actions", "terminals"} <= set(store.keys) or {"lengths", "episode_ends"} & set(store.keys):
         return False
-    return store.width("actions") == KITCHEN_ACTIONS and store.width("observations") in KITCHEN_COLUMNS
+    columns = store.width("observations")
+    if store.width("actions") != KITCHEN_ACTIONS or columns not in (30, 60):
+        return False
+    return columns == 30 or bool(np.mean(np.diff(store.matrix("observations")[:, 30:], axis=0) == 0) > 0.9)

@@ -18,24 +18,39 @@ GOAL_KEYS = ("goals", "infos/goal")
 def read_arrays(store: Store, goal_indices: tuple[int, ...], episode_ends: tuple[str, ...]) -> Recording:
     """Raises GuiderError for missing or misshapen arrays, and for what `find_ends` refuses.
 
-    Goals recorded as D4RL does, `infos/goal`, are left out where they have another number of entries than the goal
-    space.
+    Goals recorded as D4RL does, `infos/goal`, are left out where they are of another goal space: have another
+    number of entries, or mostly lie further off than the states range.
     """
     store.require("observations", "actions")
     observations = store.matrix("observations")
     goal_indices = check_goal_indices(goal_indices, observations.shape[1], store.source)
-    ends = find_ends(store, observations, observations[:, list(goal_indices)], episode_ends)
+    achieved = observations[:, list(goal_indices)]
+    ends = find_ends(store, observations, achieved, episode_ends)
+    goals = store.matrix("goals") if "goals" in store.keys else infos_goal(store, len(goal_indices))
+    warning = ends.warning
+    if goals is not None and "goals" not in store.keys and not _lie_near(goals, achieved):
+        goals, elsewhere = None, "infos/goal lies elsewhere than where the goal entries go: left out"
+        warning = f"{warning}; {elsewhere}" if warning else elsewhere
     bounds = {key: store.vector(key) for key in ("action_low", "action_high") if key in store.keys}
     return Recording(
         observations,
         store.matrix("actions"),
         ends.lengths,
-        store.matrix("goals") if "goals" in store.keys else infos_goal(store, len(goal_indices)),
+        goals,
         bounds.get("action_low"),
         bounds.get("action_high"),
         ends.signs,
-        ends.warning,
+        warning,
     )
+
+
+@np.errstate(invalid="ignore", over="ignore")  # NaN and inf are reported later, with their row
+def _lie_near(goals: np.ndarray, achieved: np.ndarray) -> bool:
+    """Whether most goals are no further off than the states' own go. goals, achieved: [rows, goal_dim]."""
+    low, high = achieved.min(axis=0), achieved.max(axis=0)
+    reach = np.linalg.norm(high - low)
+    far = (goals < low - reach) | (goals > high + reach)
+    return bool(np.mean(far.any(axis=1)) < 0.5)
 
 
 def infos_goal(store: Store, goal_dim: int) -> np.ndarray | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from guider.data.arrays import infos_goal
-from guider.data.ends import TERMINALS, TRUNCATIONS, find_ends
+from guider.data.ends import FLAGS, NUMBERS, find_ends
 from guider.data.store import Recording, Store
 from guider.episodes import check_goal_indices
 
@@ -18,16 +18,16 @@ KITCHEN_COLUMNS = tuple(_KITCHEN_ENTRIES)
 
 
 def read_kitchen(store: Store, goal_indices: tuple[int, ...], episode_ends: tuple[str, ...]) -> Recording:
-    """Episodes end at `terminals`, where the kitchen's are over, and at `timeouts`; jumps are not looked for, because a
-    switch that snaps over is one.
+    """Episodes end at every flag, where the kitchen's are over, and with their number; jumps are no ends, because
+    a switch that snaps over is one.
 
     Rows of 59 or 60 numbers become states of 30, see kitchen_states. Of 60, the last 30 are the goal, recorded in
     the same order, so goals are its entries `goal_indices`. Rows of any other width are states as they stand.
     """
     store.require("observations", "actions")
     observations = store.matrix("observations")
-    flags = tuple(key for key in (*TERMINALS, *TRUNCATIONS) if key in store.keys)
-    ends = find_ends(store, observations, None, episode_ends or flags)
+    signs = tuple(name for name in (*NUMBERS, *FLAGS) if name in store.keys)
+    ends = find_ends(store, observations, None, episode_ends or signs)
     states = kitchen_states(observations) if observations.shape[1] in KITCHEN_COLUMNS else observations
     goal_indices = check_goal_indices(goal_indices, states.shape[1], store.source)
     has_goals = observations.shape[1] == 60

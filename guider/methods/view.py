@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,10 +12,10 @@ import numpy as np
 
 from guider.config import check_not_negative, check_positive
 from guider.episodes import SMALLEST_SPREAD, Episodes, Spaces
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.goals import largest_distance
 from guider.problem import Problem
-from guider.samplers import Boundary, Data, MoveWithin, device_data, window_starts
+from guider.samplers import Boundary, Data, MoveWithin, device_data, moves, window_starts
 
 _FINEST_STEP = 0.1
 
@@ -112,7 +113,7 @@ class Use:
         fraction = self.transitions / self.of_transitions
         share = f"{self.transitions:,} of {self.of_transitions:,} transitions ({fraction:.0%})"
         why = f"; left out by {', '.join(self.settings)}" if self.settings else ""
-        return f"{share} and {self.windows:,} of {self.of_windows:,} windows are used{why}"
+        return f"{share} and, for subgoals and skills, {self.windows:,} of {self.of_windows:,} windows are used{why}"
 
 
 def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
@@ -136,7 +137,10 @@ def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
 
 
 def check_radius(problem: Problem, episodes: Episodes) -> None:
-    """Raise GuiderError where every goal would be met before a step is taken, or float32 cannot tell goals apart."""
+    """Raise GuiderError where every goal would be met before a step is taken, or float32 cannot tell goals apart.
+
+    Warns where that is so of most, or where a step goes further than a radius, so that goals are passed unmet.
+    """
     achieved = episodes.achieved
     first = np.repeat(achieved[episodes.starts], episodes.lengths, axis=0)
     furthest = float(np.max(largest_distance(achieved, first, problem.goal_parts)))
@@ -146,15 +150,23 @@ def check_radius(problem: Problem, episodes: Episodes) -> None:
             f"every goal is met within the radius {problem.radius:g} at once; choose a smaller radius (its unit is "
             "that of the goal entries), or check which entries are the goal"
         )
-    spacing = np.spacing(np.abs(achieved).max(axis=0))
+    rows, spacing = np.abs(achieved).argmax(axis=0), np.spacing(np.abs(achieved).max(axis=0))
     if (coarse := spacing > _FINEST_STEP * problem.radius).any():
         entry = int(np.argmax(coarse))
         raise GuiderError(
-            f"{episodes.source}: goal entry {entry} lies around {achieved[0, entry]:.7g}, where float32, in which "
-            f"networks compute, tells apart only steps of {spacing[entry]:.2g}: too coarse for the radius "
-            f"{problem.radius:g}; "
-            "subtract an origin from these positions, and from goals, first"
+            f"{episodes.source}: goal entry {entry} is {achieved[rows[entry], entry]:.7g} in row {rows[entry]}, where "
+            f"float32, in which networks compute, tells apart only steps of {spacing[entry]:.2g}: too coarse for the "
+            f"radius {problem.radius:g}; if all positions lie that far off, subtract an origin from them and from goals"
         )
+    ends = achieved[episodes.last_rows[episodes.starts]]
+    near = np.mean(largest_distance(achieved[episodes.starts], ends, problem.goal_parts) <= problem.radius)
+    step = float(np.median(moves(episodes, 1)))
+    for suspect, what in (
+        (near > 0.5, f"{near:.0%} of the episodes end within the radius {problem.radius:g} of where they start"),
+        (step > problem.radius, f"the median step goes {step:.3g}, past the radius {problem.radius:g}"),
+    ):
+        if suspect:
+            warnings.warn(GuiderWarning(f"{episodes.source}: {what}; is that its unit?"), stacklevel=2)
 
 
 def unit_scale(view: ViewConfig, spaces: Spaces) -> Scale:
