@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
+from typing import Any
 
 import h5py
 
@@ -145,8 +146,8 @@ def verdict(scene: Scene, kind: str, folder: Path, ended: Ended) -> Outcome:
         ours, theirs = folder / path.parent.relative_to(whole), path.parent
         if not same(restored(ours), restored(theirs)):
             return Outcome(f"{kind}: other parameters", "silent", str(ours))
-        if metrics(ours) != metrics(theirs):
-            return Outcome(f"{kind}: other metrics", "lost", f"{len(metrics(ours))} lines, not {len(metrics(theirs))}")
+        if fault := _lines_fault(metrics(ours), metrics(theirs)):
+            return Outcome(f"{kind}: other metrics", "lost", fault)
     for path in (path for path in whole.rglob("*") if path.suffix == ".hdf5" or path.name == "evaluation.json"):
         if digest(path) != digest(folder / path.relative_to(whole)):
             return Outcome(f"{kind}: {path.name} differs", "silent")
@@ -186,3 +187,12 @@ def _drip(handler: BaseHTTPRequestHandler, content: bytes) -> None:
         except OSError:
             return  # whoever fetched was killed
         time.sleep(0.025)
+
+
+def _lines_fault(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> str | None:
+    """What is wrong with the lines of a run that was interrupted. Where it stopped within a stretch of updates, that
+    stretch has a line for each of its parts."""
+    done, wanted = ([line["total_updates"] for line in lines] for lines in (ours, theirs))
+    if len(set(done)) < len(done) or not set(wanted) <= set(done):
+        return f"lines up to updates {done}, not {wanted}"
+    return "other numbers" if len(done) == len(wanted) and ours != theirs else None

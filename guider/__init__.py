@@ -1,10 +1,17 @@
-"""Guider: offline hierarchical reinforcement learning with a latent model of reachable subgoals (IJCAI 2023)."""
+"""Guider: offline hierarchical reinforcement learning with a latent model of reachable subgoals (IJCAI 2023).
 
-from guider.api import evaluate, inspect, load, resume, train
-from guider.data import load as load_data
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError, GuiderWarning
-from guider.policy import Agent, Policy, act, initial_state
+Names are imported when they are first used: reading data takes no compiler, and a command answers at once.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from guider.api import evaluate, inspect, load, resume, train
+    from guider.data import load as load_data
+    from guider.episodes import Episodes, make_episodes
+    from guider.errors import GuiderError, GuiderWarning
+    from guider.policy import Agent, Policy, act, initial_state
 
 __all__ = [
     "Agent",
@@ -22,3 +29,18 @@ __all__ = [
     "resume",
     "train",
 ]
+
+_HOMES = {
+    **dict.fromkeys(("evaluate", "inspect", "load", "resume", "train"), "api"),
+    **dict.fromkeys(("Episodes", "make_episodes"), "episodes"),
+    **dict.fromkeys(("GuiderError", "GuiderWarning"), "errors"),
+    **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "policy"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "load_data":
+        return import_module("guider.data").load
+    if name not in _HOMES:
+        raise AttributeError(f"module 'guider' has no attribute {name!r}")
+    return getattr(import_module(f"guider.{_HOMES[name]}"), name)

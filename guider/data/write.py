@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 import h5py
@@ -17,6 +17,7 @@ import numpy as np
 
 from guider.data.store import Recording
 from guider.errors import GuiderError
+from guider.files import clear_leftovers, shortened, temporary
 from guider.goals import Parts, largest_distance
 
 if TYPE_CHECKING:
@@ -176,10 +177,15 @@ def _new(path: Path, size: int) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".", suffix=".partial", dir=path.parent.absolute()) as folder:
-            partial = Path(folder) / path.name
+        clear_leftovers(path.parent, re.escape(shortened(path.name)))
+        folder = temporary(path.absolute())
+        folder.mkdir()
+        try:
+            partial = folder / path.name
             _check_room(partial, size)
             yield partial
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
         raise GuiderError(f"{path} cannot be written: {error.strerror or error}") from error
 

@@ -12,9 +12,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from guider.config import flatten, to_dict
 from guider.errors import GuiderError, names_like
 from guider.methods import METHODS
-from guider.presets import Preset
+from guider.presets import Preset, preset_config
+from guider.problem import Problem
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
 from guider.tasks import find_task
@@ -218,7 +220,8 @@ class Plan:
 def make_plan(name: str, protocol: Protocol, tasks: Sequence[str] = (), methods: Sequence[str] = ()) -> Plan:
     """The plan of a table or figure; tasks, methods: in place of the paper's, where any are given.
 
-    Raises GuiderError for tasks and methods that there are not, and for settings that the target itself compares.
+    Raises GuiderError for tasks, methods and settings that there are not, and for settings that the target itself
+    compares.
     """
     target = TARGETS[name]
     if protocol.seeds < 1 or protocol.first_seed < 0 or protocol.episodes < 1:
@@ -230,6 +233,7 @@ def make_plan(name: str, protocol: Protocol, tasks: Sequence[str] = (), methods:
         method, colon, _ = setting.partition(":")
         if colon and method not in {variant.method for variant in variants}:
             raise GuiderError(f"--set {setting}: {name} has no runs of a method {method!r}")
+    known: set[str] = set()
     for variant in variants:
         if variant.method not in METHODS:
             raise GuiderError(
@@ -238,6 +242,9 @@ def make_plan(name: str, protocol: Protocol, tasks: Sequence[str] = (), methods:
             )
         if compared := variant.settings.keys() & _settings_of(variant.method, protocol):
             raise GuiderError(f"{name} compares values of {compared.pop()}; leave it out of --set")
+        known |= flatten(to_dict(preset_config(variant.method, protocol.preset, Problem()))).keys()
+    if unknown := [s for s in protocol.settings if s.rpartition(":")[2] not in known]:
+        raise GuiderError(f"--set {unknown[0]}: no run has that setting; {names_like(unknown[0], known)}")
     chosen = tuple(dict.fromkeys(tasks)) or target.tasks
     if name == "figure7" and (open_fields := [task for task in chosen if find_task(task).maze is None]):
         raise GuiderError(f"figure7 is drawn on the map of a maze, and {open_fields[0]} has none")
