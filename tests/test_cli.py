@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -135,3 +136,18 @@ def test_help_teaches_every_command(command):
     )
     first_words = str(COMMANDS[command].__doc__).split(".")[0].split(":")[0].split()[:4]
     assert " ".join(first_words) in " ".join(answer.stdout.split())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_interrupted_while_it_is_loaded_says_so_in_a_line(number):
+    script = f"from guider.__main__ import _leave; _leave({int(number)}, None)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (128 + number, "guider: interrupted\n")
+
+
+def test_importing_guider_loads_nothing_until_a_name_is_used():
+    script = "import guider, sys; guider.make_episodes; assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", script], check=True)
+    script = "import guider; assert all(getattr(guider, name) for name in guider.__all__); guider.nothing"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert "has no attribute 'nothing'" in done.stderr
