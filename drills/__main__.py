@@ -18,7 +18,7 @@ from typing import Any
 from drills import pool
 from drills.common import FAULTS, ROOT, Outcome
 
-NAMES = ("bombs", "pickles", "links", "servers", "flips", "mutants", "kill", "stop", "twice", "strangers")
+NAMES = ("strangers", "twice", "servers", "bombs", "pickles", "links", "flips", "stop", "kill", "mutants")
 REPORT = ROOT / "docs" / "reliability.md"
 FLAGS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16")
 PACKAGES = ("guider-rl", "jax", "jaxlib", "orbax-checkpoint", "numpy", "h5py", "minari", "mujoco", "rich")
