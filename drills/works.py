@@ -157,12 +157,12 @@ def verdict(scene: Scene, kind: str, folder: Path, ended: Ended) -> Outcome:
 
 
 def _names(folder: Path) -> set[str]:
-    """Every path in `folder`, but for what checkpoints are made of and what commands printed."""
+    """Every path in `folder`, but for checkpoints, which come as time passes, and what commands printed."""
     found = set()
     for path in folder.rglob("*"):
         parts = path.relative_to(folder).parts
         inside = [part for part in parts[:-1] if part.isdigit() or _is_digest(part) or part == "logs"]
-        if not inside:
+        if not inside and not (parts[-1].isdigit() and parts[-2:-1] == ("checkpoints",)):
             found.add("/".join(parts))
     return found
 

@@ -6,12 +6,14 @@ import json
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from jax import tree
 
+import guider
 from guider import runs
 from guider.cli import COMMANDS, main
 
@@ -151,3 +153,20 @@ def test_importing_guider_loads_nothing_until_a_name_is_used():
     script = "import guider; assert all(getattr(guider, name) for name in guider.__all__); guider.nothing"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert "has no attribute 'nothing'" in done.stderr
+
+
+def test_every_module_can_be_imported_first():
+    """Whoever starts a process or uses a part alone imports that part first: there is no circle."""
+    package = Path(guider.__file__).parent
+    modules = [
+        ".".join(("guider", *path.relative_to(package).with_suffix("").parts)).removesuffix(".__init__")
+        for path in sorted(package.rglob("*.py"))
+        if path.stem not in ("__main__", "hdf5_worker")
+    ]
+    script = """if True:
+    import importlib, os, sys
+    for name in sys.argv[1:]:
+        for known in [known for known in sys.modules if known.split(".")[0] == "guider"]:
+            del sys.modules[known]
+        importlib.import_module(name)"""
+    subprocess.run([sys.executable, "-c", script, *modules], check=True)

@@ -366,6 +366,7 @@ def test_members_that_are_encrypted_or_packed_otherwise(tmp_path, byte, value, m
         ("observations.npy", b"", "observations is not an array that NumPy saved"),
     ],
 )
+@pytest.mark.filterwarnings("ignore::guider.GuiderWarning")
 def test_members_that_declare_what_they_do_not_hold(tmp_path, name, content, message):
     path = archive(tmp_path, *(MEMBERS | {name: content}).items())
     assert message in refusal_in_little_memory(path)
@@ -592,6 +593,7 @@ def test_damaged_and_swapped_members_of_whole_archives(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{}, {"chunks": True, "compression": "gzip", "fletcher32": True}])
+@pytest.mark.filterwarnings("ignore::guider.GuiderWarning")
 def test_damaged_hdf5(tmp_path, options):
     rng = np.random.default_rng(0)
     path = tmp_path / "a.hdf5"

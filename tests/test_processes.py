@@ -65,7 +65,7 @@ def test_workers_end_however_their_parent_does(tmp_path):
         for parent in parents:
             parent.kill()
     shown = (tmp_path / "SIGINT.err").read_text()
-    assert shown.count("Traceback") == 1 and shown.endswith("KeyboardInterrupt\n")
+    assert "Process " not in shown and shown.endswith("KeyboardInterrupt\n")  # no worker has a word to say
 
 
 def test_a_worker_that_is_killed_is_one_line():

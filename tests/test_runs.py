@@ -155,7 +155,10 @@ def test_resuming_a_finished_run_changes_nothing(logs, tmp_path):
 
 def test_an_existing_run_is_never_overwritten(logs, tmp_path):
     (tmp_path / "run").mkdir()
-    with pytest.raises(GuiderError, match=r"exists already.*--resume"):
+    with pytest.raises(GuiderError, match=r"exists already .*; choose another --out$"):
+        guider.train(data=logs, out=tmp_path / "run", **OWN)
+    (tmp_path / "run" / "run.json").touch()
+    with pytest.raises(GuiderError, match=r"exists already.*or continue it with .*--resume"):
         guider.train(data=logs, out=tmp_path / "run", **OWN)
 
 

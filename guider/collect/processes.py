@@ -40,6 +40,7 @@ def map_in_processes(processes: int) -> Iterator[Callable]:
         try:
             yield map_in_pool
         except BaseException as error:
+            pool.shutdown(wait=False, cancel_futures=True)  # its thread trips over futures that are cancelled
             for worker in set(active_children()) - others:
                 worker.terminate()
             if isinstance(error, BrokenProcessPool):

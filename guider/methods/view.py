@@ -18,6 +18,7 @@ from guider.problem import Problem
 from guider.samplers import Boundary, Data, MoveWithin, device_data, moves, window_starts
 
 _FINEST_STEP = 0.1
+_LONG_STEP = 4.0  # radii
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
 def check_radius(problem: Problem, episodes: Episodes) -> None:
     """Raise GuiderError where every goal would be met before a step is taken, or float32 cannot tell goals apart.
 
-    Warns where that is so of most, or where a step goes further than a radius, so that goals are passed unmet.
+    Warns where that is so of most, or where a step goes so much further than a radius that goals are passed unmet.
     """
     achieved = episodes.achieved
     first = np.repeat(achieved[episodes.starts], episodes.lengths, axis=0)
@@ -163,7 +164,7 @@ def check_radius(problem: Problem, episodes: Episodes) -> None:
     step = float(np.median(moves(episodes, 1)))
     for suspect, what in (
         (near > 0.5, f"{near:.0%} of the episodes end within the radius {problem.radius:g} of where they start"),
-        (step > problem.radius, f"the median step goes {step:.3g}, past the radius {problem.radius:g}"),
+        (step > _LONG_STEP * problem.radius, f"the median step goes {step:.3g}, past the radius {problem.radius:g}"),
     ):
         if suspect:
             warnings.warn(GuiderWarning(f"{episodes.source}: {what}; is that its unit?"), stacklevel=2)

@@ -21,10 +21,10 @@ import numpy as np
 from gymnasium import spaces
 
 from guider.errors import GuiderError
+from guider.physics import mujoco
 from guider.tasks.goal_measure import Met, environments_rule, first_disagreement, radius_of
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation
 from guider.tasks.mazes import Maze, make_maze
-from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task
 

@@ -19,9 +19,9 @@ import numpy as np
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
 from guider.data.kitchen import kitchen_states
 from guider.data.store import Recording
+from guider.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
-from guider.tasks.physics import mujoco
 from guider.tasks.simulation import available_cores
 from guider.tasks.types import Collector, Report, Task, VectorEnv
 

@@ -17,11 +17,11 @@ import gymnasium
 import numpy as np
 
 from guider.errors import GuiderError
+from guider.physics import mujoco
 from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
 from guider.tasks.antmaze import ant_model
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.mazes import Maze, make_maze
-from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task, accept
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from guider.collect.waypoints import Recipe, record
 from guider.files import user_path
+from guider.physics import mujoco
 from guider.tasks.mazes import Cell, Maze, make_maze, read_maze
-from guider.tasks.physics import mujoco
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Collector, Task, VectorEnv

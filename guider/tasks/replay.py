@@ -10,7 +10,7 @@ import numpy as np
 
 from guider.episodes import Episodes
 from guider.errors import GuiderError
-from guider.tasks.physics import mujoco
+from guider.physics import mujoco
 from guider.tasks.simulation import MujocoVectorEnv, Start
 
 STEPS_REPLAYED = 100

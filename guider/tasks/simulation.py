@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from guider.tasks.physics import mujoco
+from guider.physics import mujoco
 
 
 @dataclass(frozen=True)
