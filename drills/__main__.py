@@ -1,15 +1,16 @@
-"""Run drills: `python -m drills` all, with docs/reliability.md as the report; `python -m drills NAME` one, without."""
+"""Run drills: all, or the one that is named. docs/reliability.md reports the last whole run of each."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -20,6 +21,7 @@ from drills.common import FAULTS, ROOT, Outcome
 
 NAMES = ("strangers", "twice", "servers", "bombs", "pickles", "links", "flips", "stop", "kill", "mutants")
 REPORT = ROOT / "docs" / "reliability.md"
+KEPT = ROOT / ".drills.json"
 FLAGS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16")
 PACKAGES = ("guider-rl", "jax", "jaxlib", "orbax-checkpoint", "numpy", "h5py", "minari", "mujoco", "rich")
 
@@ -33,6 +35,7 @@ class Result:
     faults: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    date: str = ""
 
     def add(self, number: int, outcome: Outcome, seed: int) -> None:
         self.outcomes[outcome.what] += 1
@@ -63,20 +66,33 @@ def run(name: str, seed: int, numbers: range, workers: int, root: Path, scenes: 
     except Exception as error:
         result.add(-1, Outcome("the drill itself broke", "traces", f"{type(error).__name__}: {error}"), seed)
         print(f"{name}: {result.examples[-1]}", file=sys.stderr)
-    result.seconds = time.monotonic() - began
+    result.seconds, result.date = time.monotonic() - began, f"{datetime.now(UTC):%Y-%m-%d}"
     return result
+
+
+def keep(result: Result) -> list[Result]:
+    """Put a drill's whole run in the place of its last one, and return those of all drills."""
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    kept[result.name] = asdict(result)
+    KEPT.write_text(json.dumps(kept, indent=1))
+    return [_result(kept[name]) for name in NAMES if name in kept]
+
+
+def _result(kept: dict[str, Any]) -> Result:
+    return Result(**(kept | {name: Counter(kept[name]) for name in ("outcomes", "faults")}))
 
 
 def table(results: list[Result]) -> str:
     """One row per drill."""
     rows = [
-        f"| drill | trials | outcomes | {' | '.join(FAULTS)} | seconds |",
-        "|---|---|---|" + "---|" * (len(FAULTS) + 1),
+        f"| drill | trials | outcomes | {' | '.join(FAULTS)} | seconds | day |",
+        "|---|---|---|" + "---|" * (len(FAULTS) + 2),
     ]
     for result in results:
         outcomes = ", ".join(f"{count} {what}" for what, count in result.outcomes.most_common())
         faults = " | ".join(f"**{result.faults[kind]}**" if result.faults[kind] else "0" for kind in FAULTS)
-        rows.append(f"| {result.name} | {result.outcomes.total()} | {outcomes} | {faults} | {result.seconds:.0f} |")
+        end = f"{result.seconds:.0f} | {result.date}"
+        rows.append(f"| {result.name} | {result.outcomes.total()} | {outcomes} | {faults} | {end} |")
     return "\n".join(rows)
 
 
@@ -94,7 +110,7 @@ def report(results: list[Result], seed: int) -> str:
         + "; ".join(f"*{kind}*, {meaning}" for kind, meaning in FAULTS.items())
         + ".",
         table(results),
-        f"`make drill` (seed {seed}), {datetime.now(UTC):%Y-%m-%d}, {_minutes(results)} minutes on {_cores()} cores "
+        f"`make drill` (seed {seed}), or a drill alone by its name; {_minutes(results)} minutes on {_cores()} cores "
         f"({platform.machine()}; {flags}), {platform.system()}, Python {platform.python_version()}, {versions}.",
     ]
     if missing:
@@ -106,7 +122,7 @@ def report(results: list[Result], seed: int) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m drills", description=__doc__)
-    parser.add_argument("name", nargs="?", choices=NAMES, help="one drill; without it all, and the report is written")
+    parser.add_argument("name", nargs="?", choices=NAMES, help="one drill, without it all")
     parser.add_argument("--trials", type=int, help="how many, in place of the drill's own number")
     parser.add_argument("--trial", type=int, help="only this one")
     parser.add_argument("--seed", type=int, default=0)
@@ -126,8 +142,8 @@ def main() -> int:
                 numbers = range(asked.trial, asked.trial + 1)
             workers = min(asked.workers, len(numbers))
             results.append(run(name, asked.seed, numbers, workers, Path(root), scenes))
-            if asked.name is None:
-                REPORT.write_text(report(results, asked.seed))
+            if asked.trials is None and asked.trial is None:
+                REPORT.write_text(report(keep(results[-1]), asked.seed))
     print(table(results))
     return int(any(result.faults for result in results))
 
