@@ -79,7 +79,8 @@ def keep(result: Result) -> list[Result]:
 
 
 def _result(kept: dict[str, Any]) -> Result:
-    return Result(**(kept | {name: Counter(kept[name]) for name in ("outcomes", "faults")}))
+    counters: dict[str, Any] = {name: Counter(kept[name]) for name in ("outcomes", "faults")}
+    return Result(**kept | counters)
 
 
 def table(results: list[Result]) -> str:
