@@ -61,7 +61,7 @@ def test_goals_of_another_goal_space_are_left_out(tmp_path):
     path = write_hdf5(tmp_path / "a.hdf5", antmaze([30, 40]))
     assert load(path, GOAL).goals is not None
     assert load(path, (0, 1, 2)).goals is None
-    arrays = antmaze([30, 40])
+    arrays = antmaze([6000, 6000])
     arrays["observations"][:, 2:4] /= 100
     arrays["infos/goal"] += 5
     path = write_hdf5(tmp_path / "b.hdf5", arrays)
