@@ -7,13 +7,20 @@ from typing import Any
 
 
 def run() -> int:
-    """The command. While its code is being loaded, nothing is begun that would have to be put in order."""
-    before = {number: signal.signal(number, _leave) for number in (signal.SIGINT, signal.SIGTERM)}
+    """The command. Before its code is loaded and after it has answered there is nothing to put in order: until then a
+    signal ends it with a line, from then on it is about to end."""
+    heeded = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) != signal.SIG_IGN]
+    for number in heeded:
+        signal.signal(number, _leave)
     from guider.cli import main
 
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    return main()
+    if signal.SIGINT in heeded:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return main()
+    finally:
+        for number in heeded:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _leave(number: int, frame: Any) -> None:
