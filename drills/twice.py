@@ -50,4 +50,4 @@ def trial(scene: Scene, number: int, rng: random.Random, folder: Path) -> Outcom
     return Outcome("equal, the other refused in a line" if refused else "equal, both done")
 
 
-DRILL = Drill(trials=32, prepare=prepare, trial=trial, limit_s=240)
+DRILL = Drill(trials=16, prepare=prepare, trial=trial, limit_s=240)
