@@ -1,4 +1,4 @@
-"""Run drills: all, or the one that is named. docs/reliability.md reports the last whole run of each."""
+"""Run drills: all, or the one that is named. docs/reliability.md reports the last run of each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -71,9 +71,9 @@ def run(name: str, seed: int, numbers: range, workers: int, root: Path, scenes: 
 
 
 def keep(result: Result) -> list[Result]:
-    """Put a drill's whole run in the place of its last one, and return those of all drills."""
+    """Put a drill's result in the place of its last one, and return those of all drills."""
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
-    kept[result.name] = asdict(result)
+    kept[result.name] = vars(result)
     KEPT.write_text(json.dumps(kept, indent=1))
     return [_result(kept[name]) for name in NAMES if name in kept]
 
@@ -143,7 +143,7 @@ def main() -> int:
                 numbers = range(asked.trial, asked.trial + 1)
             workers = min(asked.workers, len(numbers))
             results.append(run(name, asked.seed, numbers, workers, Path(root), scenes))
-            if asked.trials is None and asked.trial is None:
+            if asked.trial is None:
                 REPORT.write_text(report(keep(results[-1]), asked.seed))
     print(table(results))
     return int(any(result.faults for result in results))
