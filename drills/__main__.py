@@ -72,15 +72,17 @@ def run(name: str, seed: int, numbers: range, workers: int, root: Path, scenes: 
 
 def keep(result: Result) -> list[Result]:
     """Put a drill's result in the place of its last one, and return those of all drills."""
-    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    kept: dict[str, Any] = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     kept[result.name] = vars(result)
     KEPT.write_text(json.dumps(kept, indent=1))
     return [_result(kept[name]) for name in NAMES if name in kept]
 
 
 def _result(kept: dict[str, Any]) -> Result:
-    counters: dict[str, Any] = {name: Counter(kept[name]) for name in ("outcomes", "faults")}
-    return Result(**kept | counters)
+    values = dict(kept)
+    for name in ("outcomes", "faults"):
+        values[name] = Counter(kept[name])
+    return Result(**values)
 
 
 def table(results: list[Result]) -> str:
