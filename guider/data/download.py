@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -27,6 +26,7 @@ from guider.data.safety import check_minari, size_text
 from guider.data.store import open_store
 from guider.errors import GuiderError
 from guider.files import user_path
+from guider.locks import hold
 
 Report = Callable[[int, int | None], None]
 """report(done, total): progress in bytes; total is None where the server does not say."""
@@ -124,7 +124,7 @@ def _fetch_file(file: RemoteFile, directory: Path, mirror: str | None, report: R
     target = directory / file.name
     part, record = _beside(target, ".part"), _beside(target, ".json")
     directory.mkdir(parents=True, exist_ok=True)
-    with _only_one(target):
+    with hold(_beside(target, ".lock"), f"{target} is being fetched by another process"):
         expected = file.sha256 or _read_json(record).get("sha256")
         if target.exists():
             if fault := _fault(file, target, _sha256(target), expected):
@@ -315,24 +315,6 @@ def _count(text: str) -> int | None:
 def _first_byte(response: HTTPResponse) -> int | None:
     text = response.headers.get("Content-Range", "").removeprefix("bytes ").partition("-")[0]
     return _count(text)
-
-
-@contextmanager
-def _only_one(target: Path) -> Iterator[None]:
-    """Raises GuiderError while another process fetches `target`. The lock is the system's: it goes with its holder."""
-    lock = _beside(target, ".lock")
-    with lock.open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = os.path.samestat(os.fstat(file.fileno()), lock.stat())  # not one that its last holder removed
-        except OSError:
-            held = False
-        if not held:
-            raise GuiderError(f"{target} is being fetched by another process; wait for that one")
-        try:
-            yield
-        finally:
-            lock.unlink()
 
 
 def _fetch_minari(dataset_id: str) -> Path:
