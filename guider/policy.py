@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
@@ -103,13 +104,13 @@ class Agent:
         self._state = initial_state(self.policy, 1)
         self._begins = True
 
-    def act(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    def act(self, observation: ArrayLike, goal: ArrayLike) -> np.ndarray:
         """The action for this step. Raises GuiderError if shapes or values do not fit the policy."""
-        observation = _vector(observation, self.policy.state_dim, "observation")
-        goal = _vector(goal, self.policy.goal_dim, "goal")
-        self._tell_of_what_is_far_off(observation, goal)
+        seen = _vector(observation, self.policy.state_dim, "observation")
+        aim = _vector(goal, self.policy.goal_dim, "goal")
+        self._tell_of_what_is_far_off(seen, aim)
         actions, self._state = compiled_act(
-            self.policy, observation[None], goal[None], self._state, jnp.asarray([self._begins])
+            self.policy, seen[None], aim[None], self._state, jnp.asarray([self._begins])
         )
         self._begins = False
         return np.asarray(actions[0])
@@ -146,7 +147,7 @@ class Agent:
         return np.asarray(pursued(self.policy.config, self._state)[0][0])
 
 
-def _vector(values: np.ndarray, size: int, name: str) -> np.ndarray:
+def _vector(values: ArrayLike, size: int, name: str) -> np.ndarray:
     vector = np.asarray(values, np.float32)
     if vector.shape != (size,):
         raise GuiderError(f"{name} has shape {vector.shape}; this policy was trained on {name}s of shape ({size},)")

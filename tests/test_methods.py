@@ -40,7 +40,7 @@ def stages(tmp_path_factory) -> Path:
 def test_learns_to_walk_a_corridor_either_way(method, stages, tmp_path):
     """Goals 6 m away, which the recorded episodes reach and pass; the corridor is 20 m long."""
     small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
-    small["view.minimum_move"] = PROBLEM.reach_radius  # not where it is pushed against an end
+    small["view.minimum_move"] = str(PROBLEM.reach_radius)  # not where it is pushed against an end
     run = guider.train(
         data=corridor(),
         radius=PROBLEM.radius,
