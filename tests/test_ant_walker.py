@@ -6,7 +6,7 @@ import numpy as np
 
 from guider.collect.ant_walker import VIEW_DIM, rotations, walk, walker_view
 from guider.collect.waypoints import record
-from guider.tasks.antmaze import GOAL_RADIUS_M, INITIAL_QPOS, diverse, sample_start_anywhere
+from guider.tasks.antmaze import GOAL_RADIUS_M, INITIAL_QPOS, diverse, everywhere
 from guider.tasks.mazes import make_maze
 
 
@@ -44,13 +44,36 @@ def test_turning_the_world_does_not_change_the_action():
     np.testing.assert_allclose(walk(states, waypoints), walk(turned, -waypoints), atol=1e-6)
 
 
-def test_recordings_start_in_every_cell():
+def starts_and_goals(recipe, count=700):
+    """Positions at which recordings start, from their cells' centres, and goals, with their cells."""
+    recording = record(replace(recipe, episode_steps=2), 2 * count, 0, lambda done, total: None)
+    assert recording.goals is not None
+    for xy in (recording.observations[::2, :2], recording.goals[::2]):
+        cells = recipe.maze.cell_of(xy)
+        yield cells, xy - recipe.maze.cell_centre(cells)
+
+
+def test_diverse_recordings_aim_at_the_goals_of_the_published_generator_and_start_elsewhere():
+    maze = make_maze("medium", 4.0)
+    (start_cells, start_offsets), (goal_cells, goal_offsets) = starts_and_goals(diverse(maze))
+    cells, counts = np.unique(goal_cells, axis=0, return_counts=True)
+    np.testing.assert_array_equal(cells, [(2, 6), (5, 1), (6, 5)])
+    assert counts.min() > 190  # of 233 expected in each
+    others = [cell for cell in maze.free_cells.tolist() if tuple(cell) not in {(2, 6), (5, 1), (6, 5)}]
+    np.testing.assert_array_equal(np.unique(start_cells, axis=0), others)
+    assert 0 <= start_offsets.min() < 0.05 and 0.95 < start_offsets.max() <= 1
+    assert 0 <= goal_offsets.min() and 1.4 < goal_offsets.max() <= 1.5
+    assert abs(goal_offsets.mean() - 0.75) < 0.03
+    assert abs(goal_offsets.std() - (1.25 / 12) ** 0.5) < 0.02, "the sum of U(0, 1) and U(0, 0.5)"
+    assert diverse(maze).episode_steps == 1001
+
+
+def test_recordings_everywhere_go_from_any_cell_to_any():
     maze = make_maze("umaze", 4.0)
-    rng = np.random.default_rng(0)
-    xy = np.array([sample_start_anywhere(maze, rng).qpos[:2] for _ in range(700)])
-    cells, counts = np.unique(maze.cell_of(xy), axis=0, return_counts=True)
-    np.testing.assert_array_equal(cells, maze.free_cells)
-    assert counts.min() > 60  # of 100 expected in each of 7 cells
+    for cells, _ in starts_and_goals(everywhere(maze)):
+        found, counts = np.unique(cells, axis=0, return_counts=True)
+        np.testing.assert_array_equal(found, maze.free_cells)
+        assert counts.min() > 60  # of 100 expected in each of 7 cells
 
 
 def test_the_walker_reaches_its_goals():

@@ -162,12 +162,13 @@ def test_a_drawn_maze(tmp_path, route, horizon_steps):
     assert offsets.min() >= 0.0 and offsets.max() <= 1.5
 
 
-def test_play_differs_from_diverse_in_the_data_alone():
+@pytest.mark.parametrize("data", ["play", "everywhere"])
+def test_tasks_of_one_maze_differ_in_the_data_alone(data):
     for size in ("medium", "large"):
-        diverse, play = (find_task(f"antmaze-{size}-{data}") for data in ("diverse", "play"))
+        diverse, other = (find_task(f"antmaze-{size}-{name}") for name in ("diverse", data))
         facts = "horizon_steps radius reach_radius environment maze goal_indices score".split()
-        assert all(getattr(diverse, fact) == getattr(play, fact) for fact in facts)
-        assert play.paper_score is None
+        assert all(getattr(diverse, fact) == getattr(other, fact) for fact in facts)
+        assert other.paper_score is None
 
 
 def test_tasks_are_the_papers():

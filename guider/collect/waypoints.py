@@ -24,13 +24,16 @@ EPISODES_AT_ONCE = 256
 class Recipe:
     """How to record data in a maze.
 
-    An episode starts where `make_env` puts it and aims at a point in a uniformly drawn free cell. The controller's
-    actions get Gaussian noise, and now and then a burst replaces them: one random action, held for some steps.
+    An episode starts where `make_env` puts it and aims at a point in a cell drawn uniformly from `goal_cells`. The
+    controller's actions get Gaussian noise, and now and then a burst replaces them: one random action, held for some
+    steps.
 
     make_env:      number of copies -> environment; an observation begins with (x, y) in metres
     controller:    (observations [n, state_dim], waypoints [n, 2]) -> actions [n, action_dim]; without memory
     episode_steps: rows of an episode
-    goal_offset_m: (least, greatest) distance of a goal from its cell's centre, uniform, along each axis
+    goal_cells:    [cells, 2] (row, column) that goals are drawn in
+    goal_offsets_m: (least, greatest) of each uniform draw whose sum is a goal's distance from its cell's centre, along
+                   each axis
     goal_radius_m: within this distance of its goal an episode has reached it
     further_goals: whether an episode that reaches its goal is given another, so that it does not idle
     waypoint_offset_m: (least, greatest) distance of a waypoint from its cell's centre, uniform, along each axis
@@ -44,7 +47,8 @@ class Recipe:
     controller: Callable[[np.ndarray, np.ndarray], np.ndarray]
     action_dim: int
     episode_steps: int
-    goal_offset_m: tuple[float, float]
+    goal_cells: np.ndarray
+    goal_offsets_m: tuple[tuple[float, float], ...]
     goal_radius_m: float
     further_goals: bool = True
     waypoint_offset_m: tuple[float, float] = (0.0, 0.0)
@@ -134,12 +138,13 @@ def _draw_script(recipe: Recipe, rng: np.random.Generator) -> tuple[np.ndarray, 
     burst actions [T, action_dim] and whether a burst is on [T], with T = episode_steps.
     """
     length = recipe.episode_steps
-    cells = recipe.maze.free_cells[rng.integers(len(recipe.maze.free_cells), size=length)]
-    goals = recipe.maze.cell_centre(cells) + rng.uniform(*recipe.goal_offset_m, (length, 2))
+    cells = recipe.goal_cells[rng.integers(len(recipe.goal_cells), size=length)]
+    offsets = sum(rng.uniform(*bounds, (length, 2)) for bounds in recipe.goal_offsets_m)
+    goals = recipe.maze.cell_centre(cells) + offsets
     noise = recipe.noise_spread * rng.standard_normal((length, recipe.action_dim))
     steps = np.arange(length)
     begins = rng.random(length) < recipe.burst_chance
     latest = np.maximum.accumulate(np.where(begins, steps, -recipe.burst_steps))
     held = rng.uniform(-1.0, 1.0, (length, recipe.action_dim))[np.maximum(latest, 0)]
-    offsets = rng.uniform(*recipe.waypoint_offset_m, (length, 2))
-    return goals, offsets, noise, held, steps - latest < recipe.burst_steps
+    waypoint_offsets = rng.uniform(*recipe.waypoint_offset_m, (length, 2))
+    return goals, waypoint_offsets, noise, held, steps - latest < recipe.burst_steps

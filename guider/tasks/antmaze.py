@@ -11,6 +11,7 @@ Gymnasium-Robotics' `AntMaze_*` is the other robot, and scores on it are not com
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 
@@ -38,7 +39,14 @@ RESET_QPOS_RANGE = 0.1
 RESET_QVEL_SPREAD = 0.1
 GOAL_OFFSETS_M = (1.0, 0.5)
 GOAL_RADIUS_M = 0.5
-RECORDED_START_OFFSET_M = (-0.5, 1.0)
+RECORDED_GOAL_CELLS = {
+    "umaze": ((3, 1),),
+    "medium": ((2, 6), (5, 1), (6, 5)),
+    "large": ((1, 6), (3, 5), (3, 10), (5, 2), (7, 4), (7, 6), (7, 9)),
+}
+"""Cells that D4RL's recordings of `diverse` aim at; they start in all others. Source: D4RL's generator."""
+RECORDED_START_OFFSET_M = (0.0, 1.0)
+EVERYWHERE_START_OFFSET_M = (-0.5, 1.0)
 ACTION_NOISE_SPREAD = 0.2
 # The extension of D4RL that brought the ultra maze twice shifts goals by half a metre towards the origin.
 ULTRA_GOAL_SHIFT_M = -1.0
@@ -87,32 +95,52 @@ def sample_start(maze: Maze, goal_shift_m: float, rng: np.random.Generator) -> S
     )
 
 
-def sample_start_anywhere(maze: Maze, rng: np.random.Generator) -> Start:
-    """Recording: in a uniformly drawn free cell, U(-0.5, 1) m from its centre along each axis, else as in evaluation.
+def sample_recorded_start(
+    maze: Maze, cells: np.ndarray, offset_m: tuple[float, float], rng: np.random.Generator
+) -> Start:
+    """Recording: in a uniformly drawn one of `cells`, U(*offset_m) from its centre along each axis, else as in
+    evaluation.
 
-    Its goal is where it starts: the recorder draws its own.
+    cells: [cells, 2] (row, column). The start's goal is where it is: the recorder draws its own.
     """
     start = sample_start(maze, 0.0, rng)
-    cell = maze.free_cells[rng.integers(len(maze.free_cells))]
-    start.qpos[:2] = maze.cell_centre(cell) + rng.uniform(*RECORDED_START_OFFSET_M, 2)
+    cell = cells[rng.integers(len(cells))]
+    start.qpos[:2] = maze.cell_centre(cell) + rng.uniform(*offset_m, 2)
     return Start(start.qpos, start.qvel, start.qpos[:2])
 
 
-def make_recording_env(maze: Maze, count: int) -> VectorEnv:
-    """`count` copies of D4RL's ant in `maze`, for recording."""
-    return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_start_anywhere, maze), count)
+def make_recording_env(maze: Maze, cells: np.ndarray, offset_m: tuple[float, float], count: int) -> VectorEnv:
+    """`count` copies of D4RL's ant in `maze`, for recording (see sample_recorded_start)."""
+    return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_recorded_start, maze, cells, offset_m), count)
 
 
 def diverse(maze: Maze) -> Recipe:
-    """How D4RL recorded its `diverse` sets, with our walker in the place of D4RL's: from any cell towards one goal in
-    any cell, 1000 steps, with noise on actions and waypoints; an ant that arrives early stays about its goal."""
+    """D4RL's generator of `diverse` sets, with our walker in the place of its policy: from cells without a goal towards
+    one goal in a cell that has one, 1001 rows, with noise on actions and waypoints; an ant that arrives early stays
+    about its goal. Its guide takes a cell to begin at its centre, ours half a cell before."""
+    goal_cells = np.array(RECORDED_GOAL_CELLS[maze.name])
+    has_goal = np.zeros_like(maze.walls)
+    has_goal[tuple(goal_cells.T)] = True
+    start_cells = np.argwhere(~maze.walls & ~has_goal)
+    return _recipe(maze, start_cells, RECORDED_START_OFFSET_M, goal_cells, 1001)
+
+
+def everywhere(maze: Maze) -> Recipe:
+    """As `diverse`, but from any free cell to any, 1000 rows: a goal may lie where it starts."""
+    return _recipe(maze, maze.free_cells, EVERYWHERE_START_OFFSET_M, maze.free_cells, 1000)
+
+
+def _recipe(
+    maze: Maze, start_cells: np.ndarray, start_offset_m: tuple[float, float], goal_cells: np.ndarray, episode_steps: int
+) -> Recipe:
     return Recipe(
         maze=maze,
-        make_env=partial(make_recording_env, maze),
+        make_env=partial(make_recording_env, maze, start_cells, start_offset_m),
         controller=walk,
         action_dim=8,
-        episode_steps=1000,
-        goal_offset_m=(0.0, sum(GOAL_OFFSETS_M)),
+        episode_steps=episode_steps,
+        goal_cells=goal_cells,
+        goal_offsets_m=tuple((0.0, upper) for upper in GOAL_OFFSETS_M),
         goal_radius_m=GOAL_RADIUS_M,
         further_goals=False,
         waypoint_offset_m=(0.0, 1.0),
@@ -134,6 +162,7 @@ def custom_task(file: str) -> Task:
     return _task(
         f"antmaze:{file}",
         maze,
+        everywhere,
         horizon_steps=max(700, 100 * maze.route_cells),
         source="a maze of one's own",
     )
@@ -150,13 +179,13 @@ def _gymnasium_ant() -> Path:
 def _task(
     name: str,
     maze: Maze,
+    recipe: Callable[[Maze], Recipe] | None,
     horizon_steps: int,
     source: str = "D4RL antmaze v2",
     goal_shift_m: float = 0.0,
-    play: bool = False,
     paper_score: float | None = None,
 ) -> Task:
-    """play: its data's start and goal cells were picked by hand, so that it cannot be made here."""
+    """recipe: how its data is made here; None where start and goal cells were picked by hand."""
     environment = f"D4RL ant (gear {MOTOR_GEAR:g}) in MuJoCo {mujoco.__version__}, 4 m cells, maze {maze.name}"
     return Task(
         name=name,
@@ -173,26 +202,34 @@ def _task(
         source=source,
         make_env=partial(make_env, maze, goal_shift_m),
         check_data=partial(check_replay, partial(ant_model, maze), FRAME_SKIP, environment),
-        collector=None
-        if play
-        else Collector(partial(record, diverse(maze)), 1_000_000, "our own ant walker, with noise"),
+        collector=_collector(recipe(maze)) if recipe else None,
         maze=maze,
         paper_score=paper_score,
     )
 
 
+def _collector(recipe: Recipe) -> Collector:
+    """A million rows, or the whole episodes in them."""
+    rows = 1_000_000 // recipe.episode_steps * recipe.episode_steps
+    return Collector(partial(record, recipe), rows, "our own ant walker, with noise")
+
+
 _UMAZE, _MEDIUM, _LARGE, _ULTRA = (make_maze(name, CELL_SIZE_M) for name in ("umaze", "medium", "large", "ultra"))
 
-# Diverse and play differ in the data alone: its start and goal cells are drawn, or picked by hand.
+# Tasks of one maze differ in their data alone: where it starts and what it aims at (play: picked by hand).
 ANTMAZES = (
-    _task("antmaze-umaze-diverse", _UMAZE, 700, paper_score=88.5),
-    _task("antmaze-medium-diverse", _MEDIUM, 1000, paper_score=87.3),
-    _task("antmaze-medium-play", _MEDIUM, 1000, play=True),
-    _task("antmaze-large-diverse", _LARGE, 1000, paper_score=80.8),
-    _task("antmaze-large-play", _LARGE, 1000, play=True),
+    _task("antmaze-umaze-diverse", _UMAZE, diverse, 700, paper_score=88.5),
+    _task("antmaze-umaze-everywhere", _UMAZE, everywhere, 700),
+    _task("antmaze-medium-diverse", _MEDIUM, diverse, 1000, paper_score=87.3),
+    _task("antmaze-medium-everywhere", _MEDIUM, everywhere, 1000),
+    _task("antmaze-medium-play", _MEDIUM, None, 1000),
+    _task("antmaze-large-diverse", _LARGE, diverse, 1000, paper_score=80.8),
+    _task("antmaze-large-everywhere", _LARGE, everywhere, 1000),
+    _task("antmaze-large-play", _LARGE, None, 1000),
     _task(
         "antmaze-ultra-diverse",
         _ULTRA,
+        everywhere,
         2000,
         source="Jiang et al. 2023's extension of D4RL",
         goal_shift_m=ULTRA_GOAL_SHIFT_M,
