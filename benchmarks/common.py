@@ -16,6 +16,7 @@ from guider.methods.guider import GuiderConfig
 from guider.methods.view import prepare
 from guider.presets import Preset, guider_config
 from guider.problem import Problem
+from guider.processor import settled
 from guider.training import compile_chunk, init_seeds, no_sums, seed_keys
 
 STAGES = ("latent", "high", "low")
@@ -56,7 +57,7 @@ def trainer(config: GuiderConfig, stage: str, episodes: Episodes, seeds: Sequenc
     keys = seed_keys(seeds)
     state = init_seeds(lambda key: guider.init(config, episodes.spaces, scale, key), seeds)
     trained = guider.stages(config)[index]
-    with jax.default_matmul_precision(config.precision):
+    with jax.default_matmul_precision(settled(config.precision)):
         sums = no_sums(trained, state, data, keys)
         chunk = compile_chunk(trained, index).lower(state, sums, data, keys, jnp.asarray(0), jnp.asarray(1)).compile()
     done = 0

@@ -38,6 +38,7 @@ from guider.methods import guider, subgoal_policy
 from guider.methods.guider import GuiderConfig
 from guider.methods.view import prepare, unit_scale
 from guider.networks import Layers, mlp
+from guider.processor import describe
 from guider.tasks.simulation import available_cores
 
 TARGETS = {"latent": 4.0, "high": 1.3, "low": 2.5}
@@ -191,7 +192,7 @@ def print_stages(results: dict[str, Any]) -> None:
         for stage, result in results.items()
         for name, precision in OURS.items()
     ]
-    print_table("Preset paper, updates per second, against eager PyTorch in float32", header, rows)
+    print_table(f"Preset paper on {describe()}: updates per second, against eager PyTorch in float32", header, rows)
     header = ("stage", "torch /s", "under autocast /s", "GFLOP/update", "GFLOP/s")
     rows = [
         (

@@ -23,6 +23,7 @@ from guider.methods.view import check_radius, data_use, learned_windows
 from guider.policy import Agent, Policy
 from guider.presets import Preset, preset_config
 from guider.problem import Problem
+from guider.processor import settled
 from guider.runs import Pace, Run, RunSpec
 from guider.samplers import no_window
 from guider.tasks import Task, find_task
@@ -95,7 +96,7 @@ def train(
             "none (--held-out 0)"
         )
     use = str(data_use(config.view, problem, training))
-    say(use)
+    say(f"{use}; training multiplies in {settled(config.precision)}")
     spec = RunSpec(
         task=task,
         data=_lasting(data, episodes),
@@ -278,6 +279,7 @@ def score(
         "method": spec.method,
         "preset": spec.preset,
         "departures": _departures(spec),
+        "precision": spec.config.precision,
         "period_steps": spec.config.problem.period_steps,
         "reach_radius": spec.config.problem.reach_radius,
         "data": spec.data,

@@ -9,10 +9,13 @@ import jax
 import jax.numpy as jnp
 from jax.experimental.layout import Layout, with_layout_constraint
 
-Precision = Literal["float32", "bfloat16"]
-"""Of products between hidden layers while training, which are most of the work: bfloat16 rounds their factors to 8 bits
-and adds up in float32, several times as fast on a GPU and on a CPU with instructions for it (AMX). Parameters, inputs,
-outputs and everything else stay float32."""
+Products = Literal["float32", "bfloat16"]
+"""Precision of products between hidden layers while training, which are most of the work: bfloat16 rounds their factors
+to 8 bits and adds up in float32, several times as fast on a GPU and on a CPU with instructions for it (AMX).
+Parameters, inputs, outputs and everything else stay float32."""
+
+Precision = Literal["auto", "float32", "bfloat16"]
+"""The same as a setting; auto is what the processor is fastest in (guider.processor), settled when a run starts."""
 
 Layers = tuple[tuple[jax.Array, jax.Array], ...]
 
@@ -37,7 +40,7 @@ class Gaussian(NamedTuple):
 
 
 def hidden_product(hidden: jax.Array, weight: jax.Array) -> jax.Array:
-    """hidden @ weight between hidden layers, [..., H] x [H, K], under `jax.default_matmul_precision`'s Precision."""
+    """hidden @ weight between hidden layers, [..., H] x [H, K], under `jax.default_matmul_precision`'s Products."""
     if jax.default_matmul_precision.value != "bfloat16":
         return hidden @ weight
     rows = hidden.reshape(-1, hidden.shape[-1])

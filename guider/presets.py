@@ -133,7 +133,7 @@ def guider_config(
     fast = replace(
         paper,
         view=_fast_view(problem),
-        precision="bfloat16",
+        precision="auto",
         replan="reached",
         final_goal_substitution=True,
         latent=replace(
@@ -183,7 +183,7 @@ def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, update
     fast = replace(
         paper,
         view=_fast_view(problem),
-        precision="bfloat16",
+        precision="auto",
         updates=round(updates * _FLAT_UPDATES.get(problem.domain or "", 1)),
         batch_size=256,
         learning_rate=1e-3,
@@ -202,7 +202,7 @@ def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
     fast = replace(
         paper,
         view=_fast_view(problem),
-        precision="bfloat16",
+        precision="auto",
         relative=True,
         subgoal="place",
         value=replace(
@@ -228,7 +228,7 @@ def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
     fast = replace(
         paper,
         view=_fast_view(problem),
-        precision="bfloat16",
+        precision="auto",
         relative=True,
         skills=replace(
             paper.skills,

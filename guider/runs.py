@@ -24,7 +24,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,7 @@ from guider.locks import hold
 from guider.methods import METHODS
 from guider.methods.view import Scale, prepare, unit_scale
 from guider.policy import Policy
+from guider.processor import settled
 from guider.stopping import on_signals
 from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
@@ -182,10 +183,11 @@ def start(
 ) -> Run:
     """Train a new run from the beginning, but for stages that `cache` knows (see guider.stage_cache).
 
-    facts: what was found about the data, for people to read in run.json. Raises GuiderError if `directory` is taken,
-    Stopped as `resume` does.
+    facts: what was found about the data, for people to read in run.json. The run's spec has the precision that `auto`
+    means on this machine, and keeps it. Raises GuiderError if `directory` is taken, Stopped as `resume` does.
     """
     check_free(directory)
+    spec = replace(spec, config=replace(spec.config, precision=settled(spec.config.precision)))
     prepared = _prepare(spec, episodes)
     run = Run(directory, spec)
     new = temporary(directory)

@@ -95,7 +95,7 @@ def test_configs_survive_json_and_name_their_faults():
         ("low.updates", "many"): "must be of type int, got 'many'",
         ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
         ("action_scale", "1.5"): "action_scale must lie between 0 and 1",
-        ("precision", "float16"): "must be one of float32, bfloat16",
+        ("precision", "float16"): "must be one of auto, float32, bfloat16",
         ("problem.radius", "-1"): "radius must be above 0",
         ("low.learner.discount", "2"): "discount must lie between 0 and 1",
         ("low.learner.kind", "magic"): "must be one of awr, cql, gcsl, iql, wgcsl",

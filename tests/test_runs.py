@@ -31,6 +31,7 @@ from guider.methods import guider as method
 from guider.methods.view import prepare
 from guider.presets import guider_config
 from guider.problem import Problem
+from guider.processor import settled
 from guider.training import Position
 
 SETTINGS = {
@@ -79,8 +80,9 @@ def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
         on_chunk=lambda chunk, state: precisions.append(jax.default_matmul_precision.value),
         **OWN,
     )
-    assert precisions == ["bfloat16"] * 3 and jax.default_matmul_precision.value is None
+    assert precisions == [settled("auto")] * 3 and jax.default_matmul_precision.value is None
     opened = runs.open_run(tmp_path / "run")
+    assert opened.spec.config.precision == settled("auto"), "a run keeps what auto meant when it began"
     assert opened.spec == run.spec
     lines = runs.read_lines(tmp_path / "run" / "metrics.jsonl")
     assert [line["stage"] for line in lines] == ["latent subgoals", "subgoal policy", "goal policy"]
