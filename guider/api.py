@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import statistics
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -15,11 +16,13 @@ from guider import data as data_sources
 from guider import runs
 from guider.config import differences, override
 from guider.episodes import IN_MEMORY, Episodes
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
 from guider.files import user_path
 from guider.heldout import held_out_scores
+from guider.methods import METHODS
 from guider.methods.view import check_radius, data_use, learned_windows
+from guider.outcomes import ending, proposed, share_in_walls, share_off_data
 from guider.policy import Agent, Policy
 from guider.presets import Preset, preset_config
 from guider.problem import Problem
@@ -27,6 +30,7 @@ from guider.processor import settled
 from guider.runs import Pace, Run, RunSpec
 from guider.samplers import no_window
 from guider.tasks import Task, find_task
+from guider.tasks.mazes import Maze
 from guider.tasks.types import SCORE_UNITS
 from guider.training import Chunk
 
@@ -293,9 +297,10 @@ def score(
         raise GuiderError(
             "a run on one's own data is scored on held-out episodes; leave --episodes and --first-seed out"
         )
-    if spec.task is not None and data is not None:
+    task = None if spec.task is None else find_task(spec.task)
+    if task is not None and task.maze is None and data is not None:
         raise GuiderError(f"{spec.task} is scored in its environment; leave --data out")
-    if spec.task is None:
+    if task is None:
         logged = _same_data(opened, data)
         if spec.held_out == 0:
             raise GuiderError(f"{opened.directory} held no episodes out; train with --held-out 0.1 to score it")
@@ -306,7 +311,6 @@ def score(
             "per_seed": [held_out_scores(policy, unseen) for policy in policies],
         }
     else:
-        task = find_task(spec.task)
 
         def outcome(index: int, policy: Policy) -> Rollouts:
             return rollout(
@@ -319,6 +323,9 @@ def score(
 
         outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
         result = protocol | _summary(task, outcomes, first)
+        if task.maze is not None:
+            in_maze = _in_maze(opened, data, task, task.maze, outcomes)
+            result["per_seed"] = [scores | more for scores, more in zip(result["per_seed"], in_maze, strict=True)]
     return result
 
 
@@ -384,6 +391,30 @@ def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
             f"({spec.data}, fingerprint {spec.fingerprint}); give that with --data"
         )
     return episodes
+
+
+def _in_maze(
+    run: Run, data: str | Path | Episodes | None, task: Task, maze: Maze, outcomes: list[Rollouts]
+) -> list[dict[str, Any]]:
+    """Of each seed: how every episode ended, and, of a method with subgoals, the share of those it chose that lie in
+    walls and off the run's data (None where that is not where it was, and nobody says where it is)."""
+    in_maze: list[dict[str, Any]] = [
+        {"endings": [ending(trace, task, maze) for trace in outcome.traces]} for outcome in outcomes
+    ]
+    if METHODS[run.spec.method].pursued is None:
+        return in_maze
+    try:
+        logged = _same_data(run, data).achieved
+    except GuiderError as error:
+        if data is not None:
+            raise
+        warnings.warn(GuiderWarning(f"how many subgoals lie off the data is not told: {error}"), stacklevel=2)
+        logged = None
+    for scores, outcome in zip(in_maze, outcomes, strict=True):
+        subgoals = proposed(outcome.traces)
+        off = None if logged is None else share_off_data(subgoals, logged, run.spec.config.problem.reach_radius)
+        scores |= {"subgoals_in_walls": share_in_walls(subgoals, maze), "subgoals_off_data": off}
+    return in_maze
 
 
 def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:

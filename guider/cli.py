@@ -146,7 +146,7 @@ def evaluate(
         run: Directory of the run.
         episodes: Task only: episodes per trained seed, by default 100.
         first_seed: Task only: environment seeds count up from here, by default 0.
-        data: Own data only: where the run's data is now, if it has moved.
+        data: Own data and mazes: where the run's data is now, if it has moved.
         as_json: Print one JSON document instead of text.
     """
     from guider import api
@@ -600,11 +600,19 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
             table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
         return table
-    for name in (result["unit"], "95 % interval", "median steps when met"):
-        table.add_column(name, no_wrap=True)
+    in_maze = ("fell / stuck / time",) if "endings" in result["per_seed"][0] else ()
+    guided = ("subgoals off data", "in walls") if "subgoals_in_walls" in result["per_seed"][0] else ()
+    for name in (result["unit"], "95 % interval", "median steps when met", *in_maze, *guided):
+        table.add_column(name)
     for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
         low, high = scores["interval_95"]
-        table.add_row(str(seed), f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"]))
+        cells = [f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"])]
+        if in_maze:
+            cells.append(" / ".join(str(scores["endings"].count(cause)) for cause in ("fell", "stuck", "time")))
+        if guided:
+            shares = (scores["subgoals_off_data"], scores["subgoals_in_walls"])
+            cells += ["?" if share is None else f"{100 * share:.1f} %" for share in shares]
+        table.add_row(str(seed), *cells)
     low, high = result["interval_95"]
     table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
     return table

@@ -16,20 +16,22 @@ from guider.tasks.types import Task
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One episode as it went, for pictures. achieved, subgoals: [steps, G]; goal: [G]; renewed: [steps] bool,
-    True where the policy chose a new subgoal; success: the goal was met. Without subgoals, the goal is the only one."""
+    """One episode as it went. achieved, subgoals: [steps, G]; goal: [G]; renewed: [steps] bool, True where the policy
+    chose a new subgoal; success: the goal was met; last_state: [S] the state it ended in. Without subgoals, the goal is
+    the only one."""
 
     achieved: np.ndarray
     subgoals: np.ndarray
     renewed: np.ndarray
     goal: np.ndarray
     success: bool
+    last_state: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
     """Outcomes of E episodes. score: [E], see guider.tasks.types.Score; success: [E] bool, the whole goal was met
-    after some step; steps: [E] until it was first, or the horizon."""
+    after some step; steps: [E] until it was first, or the horizon; traces: E of them."""
 
     score: np.ndarray
     success: np.ndarray
@@ -43,7 +45,6 @@ def rollout(
     episodes: int,
     first_seed: int,
     *,
-    keep_traces: int = 0,
     on_steps: Callable[[int, int], None] = lambda done, total: None,
 ) -> Rollouts:
     """Run `episodes` episodes, episode e from seed first_seed + e.
@@ -52,7 +53,7 @@ def rollout(
     with it the rounding of its actions; in contact-rich simulations single episodes may then go another way.
 
     A goal is met where each of its parts is within task.radius after a step; task.score says what that is worth.
-    keep_traces: how many episodes, the first ones, to record. on_steps(done, total) reports progress.
+    on_steps(done, total) reports progress.
     """
     copies = min(episodes, task.copies)
     env = task.make_env(copies)
@@ -65,7 +66,6 @@ def rollout(
                 task,
                 env,
                 seeds,
-                max(0, keep_traces - first),
                 lambda t, f=first: on_steps(
                     f * task.horizon_steps // copies + t, -(-episodes // copies) * task.horizon_steps
                 ),
@@ -77,11 +77,11 @@ def rollout(
         score=np.concatenate([b.score for b in batches])[:episodes],
         success=np.concatenate([b.success for b in batches])[:episodes],
         steps=np.concatenate([b.steps for b in batches])[:episodes],
-        traces=tuple(t for b in batches for t in b.traces)[:keep_traces],
+        traces=tuple(t for b in batches for t in b.traces)[:episodes],
     )
 
 
-def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
+def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
     goal_indices = list(task.goal_indices)
     observation, goal = env.reset(seeds)
     device_goal = jnp.asarray(goal)
@@ -96,9 +96,8 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     history = []
     for step in range(task.horizon_steps):
         actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
-        if keep_traces:
-            seen = (observation[:, goal_indices], *_pursued(policy, acting, goal, reset_mask))
-            history.append([np.array(part[:keep_traces]) for part in seen])
+        seen = (observation[:, goal_indices], *_pursued(policy, acting, goal, reset_mask))
+        history.append([np.array(part) for part in seen])
         observation = env.step(np.asarray(actions), active)
         distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
         met = active[:, None] & (distances <= task.radius)
@@ -115,7 +114,7 @@ def _rollout_batch(policy, task, env, seeds, keep_traces, on_step) -> Rollouts:
     success = np.all(parts_met, axis=1) if task.score == "subtasks" else np.asarray(steps_met > 0)
     score = {"success": 100.0 * success, "return": 1.0 * steps_met, "subtasks": 100.0 * parts_met.mean(axis=1)}
     lengths = np.full(env.count, task.horizon_steps) if task.score == "return" else steps
-    traces = _traces(history, success, lengths, goal)
+    traces = _traces(history, success, lengths, goal, observation)
     return Rollouts(score[task.score], success, steps, traces)
 
 
@@ -125,9 +124,7 @@ def _pursued(policy, acting, goal, begins):
     return pursued(policy.config, acting) if pursued else (goal, begins)
 
 
-def _traces(history, success, steps, goal) -> tuple[Trace, ...]:
-    if not history:
-        return ()
+def _traces(history, success, steps, goal, last_states) -> tuple[Trace, ...]:
     achieved, subgoals, renewed = (np.stack(arrays, axis=1) for arrays in zip(*history, strict=True))
     return tuple(
         Trace(
@@ -136,6 +133,7 @@ def _traces(history, success, steps, goal) -> tuple[Trace, ...]:
             renewed=renewed[e, : steps[e]],
             goal=goal[e],
             success=bool(success[e]),
+            last_state=last_states[e],
         )
         for e in range(len(achieved))
     )

@@ -1,6 +1,7 @@
 """Scores of episodes, worked out by hand on a scripted environment."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -48,7 +49,7 @@ def scored(score, parts, monkeypatch):
         score=score,
         make_env=lambda count: Scripted(),
     )
-    policy: Any = None  # what it would answer stands above
+    policy: Any = SimpleNamespace(method="gcsl")  # what it would answer stands above
     return rollout(policy, task, 2, 0)
 
 
@@ -66,6 +67,11 @@ def test_scores_by_hand(score, parts, scores, success, steps, monkeypatch):
     assert outcome.score.tolist() == scores
     assert outcome.success.tolist() == success
     assert outcome.steps.tolist() == steps
+    lengths = [4, 4] if score == "return" else steps
+    for trace, path, length in zip(outcome.traces, PATHS, lengths, strict=True):
+        before = [[9, 9], *path.tolist()][:length]
+        assert trace.achieved.tolist() == before and trace.last_state.tolist() == path[length - 1].tolist()
+        assert trace.renewed.tolist() == [True] + [False] * (length - 1), "without subgoals the goal is the only one"
 
 
 def test_bootstrap_interval_is_that_of_the_mean():

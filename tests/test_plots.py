@@ -80,7 +80,7 @@ def trace(subgoals: list[tuple[float, float]], success: bool = False) -> Trace:
     achieved = np.stack([0.1 * np.arange(count), np.zeros(count)], axis=1)
     renewed = np.arange(count) % PERIOD == 0
     pursued = np.repeat(np.array(subgoals, float), PERIOD, axis=0)
-    return Trace(achieved, pursued, renewed, np.array([0.0, 2.0]), success)
+    return Trace(achieved, pursued, renewed, np.array([0.0, 2.0]), success, achieved[-1])
 
 
 TRACES = (trace([(0.5, 0.0), (1.0, 1.2), (2.0, 0.0)]), trace([(0.5, 0.3), (1.1, 0.0)], success=True))
@@ -359,8 +359,8 @@ def test_caption_names_what_is_drawn(tmp_path):
 def test_a_run_in_a_maze_is_drawn_whole(tmp_path, monkeypatch):
     asked = []
 
-    def fake_rollout(policy, task, episodes, first_seed, *, keep_traces):
-        asked.append((policy.config.replan, episodes, first_seed, keep_traces))
+    def fake_rollout(policy, task, episodes, first_seed):
+        asked.append((policy.config.replan, episodes, first_seed))
         return Rollouts(np.zeros(2), np.zeros(2, bool), np.zeros(2, int), TRACES)
 
     monkeypatch.setattr(plots, "rollout", fake_rollout)
@@ -371,7 +371,7 @@ def test_a_run_in_a_maze_is_drawn_whole(tmp_path, monkeypatch):
     assert paths == [tmp_path / "plots" / f"{name}.png" for name in names]
     assert sorted(paths) == sorted((tmp_path / "plots").iterdir())
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
-    assert asked == [("reached", 2, 1000, 2), ("period", 20, 1000, 20)]
+    assert asked == [("reached", 2, 1000), ("period", 20, 1000)]
 
 
 def test_a_run_on_logs_is_drawn_without_a_task(tmp_path):

@@ -73,14 +73,14 @@ def draw_run(
         return saved
 
     maze, problem = task.maze, policy.config.problem
-    traces = rollout(policy, task, episodes_shown, first_seed, keep_traces=episodes_shown).traces
+    traces = rollout(policy, task, episodes_shown, first_seed).traces
     save(f"episodes-seed{seed}", episodes_in_maze(task, maze, logged, traces, first_seed, title))
     if not guided:
         return saved
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
     positions = spread_positions(maze, logged, 8)
     save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
-    measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed, keep_traces=EPISODES_MEASURED).traces
+    measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed).traces
     if len(subgoal_gaps(measured, problem.period_steps)):
         save(f"met-seed{seed}", subgoals_met(problem, maze, logged, measured, first_seed, title))
     return saved

@@ -51,7 +51,7 @@ def _subgoals_along_episodes(plan: Plan, grid: Grid) -> Drawn:
         assert cell.result is not None
         run, task = runs.open_run(plan.directory(cell.run)), find_task(cell.task)
         first_seed = cell.result["episode_seeds"][0]
-        traces = rollout(run.policies()[0], task, EPISODES_SHOWN, first_seed, keep_traces=EPISODES_SHOWN).traces
+        traces = rollout(run.policies()[0], task, EPISODES_SHOWN, first_seed).traces
         title = caption(run.spec, run.spec.seeds[:1])
         if task.maze is not None:
             logged = data_sources.load(plan.data_path(cell.task), task.goal_indices)
@@ -168,9 +168,7 @@ def _gaps(plan: Plan, grid: Grid) -> Drawn:
             first_seed = cell.result["episode_seeds"][0]
             gaps = []
             for policy in run.policies():
-                measured = rollout(
-                    fixed_period(policy), task, EPISODES_MEASURED, first_seed, keep_traces=EPISODES_MEASURED
-                ).traces
+                measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed).traces
                 gaps.append(subgoal_gaps(measured, period))
                 ending = f"{file_name(task.name)}-{cell.variant.name}"
                 if ending not in figures and len(gaps[-1]):

@@ -148,6 +148,12 @@ def _recipe(
     )
 
 
+def on_its_back(state: np.ndarray) -> bool:
+    """Whether the up axis of the torso of an ant in a state [29] points below the horizon."""
+    _, x, y, _ = state[3:7] / np.linalg.norm(state[3:7])
+    return bool(1 - 2 * (x * x + y * y) < 0)
+
+
 def make_env(maze: Maze, goal_shift_m: float, count: int) -> VectorEnv:
     """`count` copies of D4RL's ant in `maze`."""
     return MujocoVectorEnv(ant_model(maze), FRAME_SKIP, partial(sample_start, maze, goal_shift_m), count)
@@ -204,6 +210,7 @@ def _task(
         check_data=partial(check_replay, partial(ant_model, maze), FRAME_SKIP, environment),
         collector=_collector(recipe(maze)) if recipe else None,
         maze=maze,
+        fallen=on_its_back,
         paper_score=paper_score,
     )
 

@@ -88,6 +88,7 @@ class Task:
     collector:     how data is made here; None if it is not
     check_data:    raises GuiderError where episodes of the right shape were recorded on another robot
     maze:          walls for pictures; None outside mazes
+    fallen:        whether a robot in a state [S] lies on its back; None for those that cannot
     paper_score:   the paper's Guider score (Table 1), None for tasks that are not in it
     """
 
@@ -110,4 +111,5 @@ class Task:
     collector: Collector | None = None
     check_data: Callable[[Episodes], None] = accept
     maze: Maze | None = None
+    fallen: Callable[[np.ndarray], bool] | None = None
     paper_score: float | None = None
