@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 # (mujoco is a compiled module without type stubs)
-"""D4RL's kitchen: four things to do within 280 steps, on Gymnasium-Robotics' FrankaKitchen-v1.
+"""D4RL's kitchen: four things to do within 280 steps, on Gymnasium-Robotics' FrankaKitchen-v1 with the sensor noise of
+D4RL's; `kitchen-*-gymnasium` are the same with Gymnasium's, as Minari's data has it.
 
 A state is 30 positions, the robot's 9 joints and the objects' 21, which is all that D4RL's files and this simulation
 have in common (guider.data.kitchen.kitchen_states); the goal space is the objects' 21. An episode scores 25 for each of
@@ -29,6 +30,10 @@ STATE_DIM = 30
 GOAL_INDICES = tuple(range(9, STATE_DIM))
 RADIUS = 0.3
 HORIZON_STEPS = 280
+NOISE_RATIOS = {"D4RL": (0.1, 0.1), "Gymnasium": (0.01, 0.0005)}
+"""By whose kitchen: of the noise on what sensors say of robot and objects, as shares of the amplitudes (rad, m) in the
+robot's description, which both have. D4RL's is 0.01 on the arm's joints, and at most that on objects'. (Gymnasium takes
+the objects' amplitudes one entry too early, so that single objects shake less or more than in D4RL's.)"""
 
 
 @dataclass(frozen=True)
@@ -59,14 +64,17 @@ def goal_vector(subtasks: tuple[str, ...]) -> tuple[float, ...]:
     return tuple(goal.tolist())
 
 
-def make_simulator() -> Any:
-    """Gymnasium-Robotics' KitchenEnv with all its subtasks; it goes on when they are done."""
-    return make_gymnasium("FrankaKitchen-v1", terminate_on_tasks_completed=False).unwrapped
+def make_simulator(noise: str) -> Any:
+    """Gymnasium-Robotics' KitchenEnv with all its subtasks; it goes on when they are done. noise: of NOISE_RATIOS."""
+    robot, objects = NOISE_RATIOS[noise]
+    return make_gymnasium(
+        "FrankaKitchen-v1", terminate_on_tasks_completed=False, robot_noise_ratio=robot, object_noise_ratio=objects
+    ).unwrapped
 
 
-def make_env(goal: tuple[float, ...], count: int) -> VectorEnv:
+def make_env(goal: tuple[float, ...], noise: str, count: int) -> VectorEnv:
     """`count` copies of the kitchen, with the same goal in every episode."""
-    return GymVectorEnv(make_simulator, count, partial(_read, goal))
+    return GymVectorEnv(partial(make_simulator, noise), count, partial(_read, goal))
 
 
 def _read(goal: tuple[float, ...], observation: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -77,12 +85,12 @@ def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
     return record(recipe, steps, seed, report, available_cores())
 
 
-def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score: float) -> Task:
+def _task(data: str, noise: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score: float) -> Task:
     """recorded_steps: rows of D4RL's file."""
     goal = goal_vector(subtasks)
     goal_parts = tuple(SUBTASKS[subtask].entries for subtask in subtasks)
     recipe = Recipe(
-        make_env=make_simulator,
+        make_env=partial(make_simulator, noise),
         deck=(WHOLE,) if data == "complete" else PLAY_DECK,
         goal=goal,
         goal_indices=GOAL_INDICES,
@@ -92,7 +100,7 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
     )
     robotics, physics = version("gymnasium-robotics"), mujoco.__version__
     return Task(
-        name=f"kitchen-{data}",
+        name=f"kitchen-{data}" if noise == "D4RL" else f"kitchen-{data}-gymnasium",
         summary=f"a robot arm sees to {', '.join(subtasks[:3])} and {subtasks[3]}",
         domain="kitchen",
         goal_indices=GOAL_INDICES,
@@ -104,17 +112,21 @@ def _task(data: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score
         horizon_steps=HORIZON_STEPS,
         period_steps=40,
         score="subtasks",
-        environment=f"FrankaKitchen-v1 of Gymnasium-Robotics {robotics} in MuJoCo {physics}",
+        environment=f"FrankaKitchen-v1 of Gymnasium-Robotics {robotics} in MuJoCo {physics}, {noise}'s sensor noise",
         source="D4RL kitchen",
-        make_env=partial(make_env, goal),
+        make_env=partial(make_env, goal, noise),
         copies=10,  # 80 MB and 0.2 s to build, each
         collector=Collector(partial(_record, recipe), recorded_steps, "scripted demonstrations"),
-        paper_score=paper_score,
+        paper_score=paper_score if noise == "D4RL" else None,
     )
 
 
-KITCHEN_TASKS = (
-    _task("complete", WHOLE, 3_680, 68.8),
-    _task("partial", WHOLE, 136_950, 70.4),
-    _task("mixed", MIXED, 136_950, 67.1),
+KITCHEN_TASKS = tuple(
+    _task(data, noise, subtasks, recorded_steps, paper_score)
+    for noise in NOISE_RATIOS
+    for data, subtasks, recorded_steps, paper_score in (
+        ("complete", WHOLE, 3_680, 68.8),
+        ("partial", WHOLE, 136_950, 70.4),
+        ("mixed", MIXED, 136_950, 67.1),
+    )
 )
