@@ -14,6 +14,7 @@ from guider import api, runs
 from guider.cli import main
 from guider.episodes import make_episodes
 from guider.errors import GuiderError, GuiderWarning
+from guider.processor import settled
 
 LENGTHS = [60] * 10
 
