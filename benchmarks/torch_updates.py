@@ -221,17 +221,16 @@ class SubgoalPolicy:
     def losses(self, batch: SubgoalBatch, noise: SubgoalNoise) -> tuple[Tensor, Tensor, Tensor]:
         """(TD error plus conservative terms of both critics, actor loss plus alpha's, Lagrange weight's loss)."""
         settings = self.config.high
-        samples = noise.now.shape[1]
         with torch.no_grad():
             next_policy, policy = self.propose(batch.next_state), self.propose(batch.state)
             next_policy, policy = (Gaussian(p.mean[:, None], p.log_std[:, None]) for p in (next_policy, policy))
             next_latents, now_latents = next_policy.sample(noise.next), policy.sample(noise.now)
             next_values = [_values(target, batch.next_state, next_latents) for target in self.targets]
-            next_value = torch.minimum(*next_values).max(dim=1).values
+            next_value = torch.minimum(*(values.max(dim=1).values for values in next_values))
             target = td_target(batch.reward, next_value, settings.discount)
-            low, high = batch.latent.min(dim=0).values, batch.latent.max(dim=0).values
+            low, high = batch.latent.aminmax()
             uniform = low + (high - low) * noise.uniform
-            log_volume = (high - low).log().sum()
+            log_volume = batch.latent.shape[1] * (high - low).log()
             next_log_density, now_log_density = next_policy.log_prob(next_latents), policy.log_prob(now_latents)
 
         td, gaps = torch.zeros(()), []
@@ -242,7 +241,7 @@ class SubgoalPolicy:
                 _values(critic, batch.state, next_latents) - next_log_density,
                 _values(critic, batch.state, now_latents) - now_log_density,
             ]
-            sampled = torch.logsumexp(torch.cat(weighted, dim=1), dim=1) - np.log(3 * samples)
+            sampled = torch.logsumexp(torch.cat(weighted, dim=1), dim=1)
             gaps.append((sampled - value).mean())
             td = td + ((value - target) ** 2).mean()
 
@@ -256,7 +255,7 @@ class SubgoalPolicy:
         value = torch.minimum(*(critic(torch.cat([batch.state, latent], -1))[:, 0] for critic in self.critics))
         divergence = gaussian_kl(now, batch.prior).mean(-1)
         actor = (self.log_alpha.exp().detach() * divergence - value).mean()
-        alpha = -self.log_alpha * (divergence.mean() - settings.target_divergence).detach()
+        alpha = -self.log_alpha.exp() * (divergence.mean() - settings.target_divergence).detach()
         return critic_loss, actor + alpha, -lagrange * excess.mean().detach()
 
     def update(self, data: TorchData) -> None:
@@ -317,34 +316,38 @@ class GoalPolicy:
         settings: GoalPolicyConfig = config.low
         input_dim = state_dim + 2 * goal_dim
         critic_sizes = (input_dim + action_dim, *settings.hidden, 1)
-        self.actor = mlp((input_dim, *settings.hidden, action_dim))
+        self.actor = mlp((input_dim, *settings.hidden, 2 * action_dim))
         self.critics = [mlp(critic_sizes) for _ in range(2)]
         self.targets = [mlp(critic_sizes) for _ in range(2)]
         move_targets(self.targets, self.critics, 1.0)
         self.networks = (self.actor, *self.critics)
         self.optimisers = adam(self.networks, settings.learning_rate)
 
-    def loss(self, batch: GoalBatch) -> Tensor:
-        """TD error of both critics plus the actor's weighted regression; neither has a gradient for the other."""
+    def loss(self, batch: GoalBatch, next_noise: Tensor, noise: Tensor) -> Tensor:
+        """TD error of both critics plus the actor's weighted regression; neither has a gradient for the other.
+
+        next_noise, noise: [B, A], standard normal, for the policy's samples."""
         settings = self.learner
         with torch.no_grad():
-            next_inputs = torch.cat([batch.next_state, self.actor(batch.next_state).tanh()], -1)
+            next_action = gaussian_head(self.actor(batch.next_state)).sample(next_noise)
+            next_inputs = torch.cat([batch.next_state, next_action], -1)
             next_value = torch.minimum(*(target(next_inputs)[:, 0] for target in self.targets))
             target = td_target(batch.reward, next_value, settings.discount)
+            ahead = td_target(batch.reward, self.critics[0](next_inputs)[:, 0], settings.discount)
         inputs = torch.cat([batch.state, batch.action], -1)
-        values = [critic(inputs)[:, 0] for critic in self.critics]
-        td = sum(((value - target) ** 2).mean() for value in values)
+        td = sum(((critic(inputs)[:, 0] - target) ** 2).mean() for critic in self.critics)
 
-        predicted = self.actor(batch.state).tanh()
+        predicted = gaussian_head(self.actor(batch.state)).sample(noise)
         with torch.no_grad():
-            own_inputs = torch.cat([batch.state, predicted], -1)
-            baseline = torch.minimum(*(critic(own_inputs)[:, 0] for critic in self.critics))
-            advantage = (torch.minimum(*values) - baseline) / settings.temperature
+            baseline = self.critics[0](torch.cat([batch.state, predicted], -1))[:, 0]
+            advantage = (ahead - baseline) / settings.temperature
             weight = advantage.clamp(max=20.0).exp().clamp(max=settings.weight_ceiling)
         return td + (weight * ((predicted - batch.action) ** 2).mean(-1)).mean()
 
     def update(self, data: TorchData) -> None:
-        minimise(self.loss(self._sample(data)), self.networks, self.optimisers)
+        batch = self._sample(data)
+        noise = torch.randn(2, *batch.action.shape)
+        minimise(self.loss(batch, *noise), self.networks, self.optimisers)
         move_targets(self.targets, self.critics, self.learner.target_rate)
 
     def _sample(self, data: TorchData) -> GoalBatch:

@@ -80,7 +80,7 @@ def update_flops(config: GuiderConfig, stage: str, spaces: Spaces) -> float:
         forward on B rows go encoder, prior, and the actor for the two sampling policies; both critics see the
         actor's B latents forward and back to their inputs.
     low: both critics and the actor are trained on B rows; forward go both target critics, the actor on next
-        states, and both critics on the actor's actions.
+        states, and on the actor's actions both critics (`action_value`), or one critic now and a step ahead.
     """
     scale = unit_scale(config.view, spaces)
     state = jax.eval_shape(lambda key: guider.init(config, spaces, scale, key), jax.random.key(0))

@@ -90,7 +90,7 @@ def _low_level_actions(policy: Policy, seen: _Seen) -> np.ndarray:
     if config.low.subgoal_input == "latent":
         subgoal = encode(config.latent, state.latent.params, state.scale, seen.achieved, seen.outcome).mean
     inputs = low_inputs(config, state, seen.observation, seen.achieved, subgoal, seen.final)
-    return np.asarray(learner(config.low.learner).act(state.low, inputs))
+    return np.asarray(learner(config.low.learner).act(config.low.learner, state.low, inputs))
 
 
 def _scores_of_parts(

@@ -63,13 +63,13 @@ def td_target(reward: jax.Array, next_value: jax.Array, discount: float) -> jax.
 
 
 def conservative_gap(sampled: jax.Array, log_density: jax.Array, data: jax.Array) -> jax.Array:
-    """CQL(H)'s gap: log-mean-exp over samples of Q(s, z) / density(z), minus Q at the data's z.
+    """CQL(H)'s gap: log of the sum over samples of exp(Q(s, z)) / density(z), minus Q at the data's z.
 
-    sampled, log_density: [..., B, samples]; data: [..., B]. Returns [..., B]. (Kumar et al. 2020, Eq. 4;
-    the importance weight is the density the sample was truly drawn from.)
+    sampled, log_density: [..., B, samples]; data: [..., B]. Returns [..., B]. (Kumar et al. 2020, Eq. 4; the importance
+    weight is the density the sample was truly drawn from. Their code and Guider's authors' sum where an estimate of the
+    integral would take the mean: thresholds are in that unit, and gradients are the same.)
     """
-    weighted = sampled - log_density
-    return jax.nn.logsumexp(weighted, axis=-1) - jnp.log(sampled.shape[-1]) - data
+    return jax.nn.logsumexp(sampled - log_density, axis=-1) - data
 
 
 def expectile_loss(error: jax.Array, expectile: float) -> jax.Array:
@@ -92,3 +92,12 @@ def weighted_regression(
     """
     misses = (predicted - action) ** 2 if error == "squared" else jnp.abs(predicted - action)
     return jax.lax.stop_gradient(weight) * jnp.mean(misses, axis=-1)
+
+
+def surprise(policy: Gaussian, action: jax.Array, error: Literal["squared", "absolute"]) -> jax.Array:
+    """-log density of an action in nats, summed over dimensions: of the Gaussian (squared), or of the Laplace
+    distribution with its mean and, as scale, its spread (absolute). policy, action: [..., A]. Returns [...]."""
+    if error == "squared":
+        return -policy.log_prob(action)
+    misses = jnp.abs(action - policy.mean) * jnp.exp(-policy.log_std)
+    return (misses + policy.log_std + jnp.log(2.0)).sum(axis=-1)

@@ -75,19 +75,33 @@ def _transposed(matrix: jax.Array) -> jax.Array:
     return with_layout_constraint(matrix.T, Layout(major_to_minor=(0, 1)))
 
 
-def mlp_init(key: jax.Array, sizes: tuple[int, ...]) -> Layers:
-    """Weights and biases uniform in +-1/sqrt(fan_in), as the authors' framework does by default."""
+Initialisation = Literal["fan_in", "small_outputs"]
+"""Of weights and biases. fan_in: all uniform in +-1/sqrt(inputs), PyTorch's way. small_outputs, that of Guider's
+authors and of rlkit before them: hidden weights uniform in +-1/sqrt(outputs), hidden biases 0.1, the last layer uniform
+in +-0.001, so that all outputs start near 0."""
 
-    def layer(key, fan_in, fan_out):
+_SMALL = 1e-3
+_HIDDEN_BIAS = 0.1
+
+
+def mlp_init(key: jax.Array, sizes: tuple[int, ...], initialisation: Initialisation = "fan_in") -> Layers:
+    """Fresh layers between widths `sizes`."""
+
+    def uniform(key, shape, bound):
+        return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
+
+    def layer(key, fan_in, fan_out, last):
         w_key, b_key = jax.random.split(key)
-        bound = fan_in**-0.5
-        return (
-            jax.random.uniform(w_key, (fan_in, fan_out), minval=-bound, maxval=bound),
-            jax.random.uniform(b_key, (fan_out,), minval=-bound, maxval=bound),
-        )
+        shape = (fan_in, fan_out)
+        if initialisation == "fan_in":
+            return uniform(w_key, shape, fan_in**-0.5), uniform(b_key, (fan_out,), fan_in**-0.5)
+        if last:
+            return uniform(w_key, shape, _SMALL), uniform(b_key, (fan_out,), _SMALL)
+        return uniform(w_key, shape, fan_out**-0.5), jnp.full(fan_out, _HIDDEN_BIAS)
 
     keys = jax.random.split(key, len(sizes) - 1)
-    return tuple(layer(k, i, o) for k, i, o in zip(keys, sizes[:-1], sizes[1:], strict=True))
+    last = range(len(keys))[-1]
+    return tuple(layer(keys[i], sizes[i], sizes[i + 1], i == last) for i in range(len(keys)))
 
 
 def mlp(
@@ -126,9 +140,9 @@ def gaussian_head(outputs: jax.Array) -> Gaussian:
     return Gaussian(mean, jnp.clip(log_std, *LOG_STD_RANGE))
 
 
-def twin_init(key: jax.Array, sizes: tuple[int, ...]) -> Layers:
+def twin_init(key: jax.Array, sizes: tuple[int, ...], initialisation: Initialisation = "fan_in") -> Layers:
     """Two independent MLPs stacked along a leading axis."""
-    return jax.vmap(lambda k: mlp_init(k, sizes))(jax.random.split(key))
+    return jax.vmap(lambda k: mlp_init(k, sizes, initialisation))(jax.random.split(key))
 
 
 def twin_values(twins: Layers, context: jax.Array, actions: jax.Array) -> jax.Array:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 from guider.config import flatten, override, to_dict
 from guider.errors import GuiderError, names_like
@@ -19,7 +19,6 @@ from guider.methods.opal import OpalConfig
 from guider.methods.view import ViewConfig
 from guider.problem import Problem
 
-C = TypeVar("C")
 Preset = Literal["fast", "paper"]
 Changes = dict[str, Any]
 """Settings by dotted name."""
@@ -31,6 +30,17 @@ LATENT_DIM = {"fetch": 3, "kitchen": 8}
 _MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
 _ARM: Changes = _MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
+_STEADY_CRITIC: Changes = {
+    "samples": 2,
+    "backup": "max_of_min",
+    "uniform_box": "per_entry",
+    "lagrange_threshold": None,
+    "conservative_weight": 0.5,
+    "cap_targets": True,
+    "temperature_loss": "log_alpha",
+    "initialisation": "fan_in",
+}
+"""Of the high level: values that stay at or below 0, from few samples."""
 
 
 def _from_demonstrations(regression: str) -> Changes:
@@ -67,30 +77,36 @@ FAST_IN_DOMAIN: dict[str | None, Changes] = {
         "low.updates": 20_000,
         "low.subgoal_slack_steps": 30,
         "low.relabel_fraction": 0.0,
-    }
-    | _from_demonstrations("low.learner.regression"),
+    },
 }
-"""The same for Guider alone."""
+"""The same for Guider, whatever learns its low level."""
 
-_FLAT: Changes = {
-    "learner.samples": 2,
-    "learner.conservative_weight": 1.0,
-    "learner.cloning_weight": 10.0,
-    "learner.expectile": 0.7,
-    "learner.temperature": 0.5,
+LEARNERS_FAST: dict[str, Changes] = {
+    # Values that stay low, from few samples, and a policy near the data.
+    "cql": {"samples": 2, "conservative_weight": 1.0, "cloning_weight": 10.0},
+    "iql": {"expectile": 0.7, "temperature": 0.5},
+    "wgcsl": {"twins": True, "recent_advantages": 4096},
+    "awr": {"advantage": "action_value", "policy": "tanh", "initialisation": "fan_in"},
 }
+"""Where `fast` changes learners, alone and as Guider's low level alike: Figure 4 compares what stands above them."""
+
+# Goals hundreds of steps ahead; and where all episodes are alike, the best advantages are noise.
+_LONG: Changes = {"discount": 0.995, "best_advantage_weight": False}
+LEARNERS_FAST_IN_DOMAIN: dict[str | None, Changes] = {
+    "antmaze": _LONG,
+    "pointmaze": _LONG,
+    "kitchen": _LONG | _from_demonstrations("regression"),
+}
+"""The same by domain; Guider's own learner (`awr`), which pursues what lies c steps ahead, keeps its discount."""
+
 _FLAT_UPDATES = {"antmaze": 2.5, "fetch": 4 / 3, "kitchen": 1 / 2}
 """How much longer or shorter methods without subgoals train, by domain: about what Guider takes, or less."""
 
-# Goals hundreds of steps ahead; and where all episodes are alike, the best advantages are noise.
-_LONG: Changes = {"learner.discount": 0.995, "learner.best_advantage_weight": False}
 FLAT_FAST_IN_DOMAIN: dict[str | None, Changes] = {
-    "antmaze": _LONG,
-    "pointmaze": _LONG,
     "fetch": _MANIPULATION,
-    "kitchen": _MANIPULATION | _LONG | {"view.smallest_spread": 0.1} | _from_demonstrations("learner.regression"),
+    "kitchen": _MANIPULATION | {"view.smallest_spread": 0.1},
 }
-"""The same for methods without subgoals, after what `fast` changes of their learners everywhere."""
+"""The same for methods without subgoals, besides their learners."""
 
 HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     "antmaze": {"low.updates": 100_000},
@@ -99,7 +115,17 @@ HIQL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0}
     | _from_demonstrations("low.regression"),
 }
-"""The same for HIQL."""
+"""The same for HIQL, on representations and on places."""
+
+_ON_PLACES: Changes = {
+    "subgoal": "place",
+    "squash": True,
+    "random_goal_fraction": 0.3,
+    "value.backup_steps": 5,
+    "high.temperature": 1.0,
+    "low.temperature": 1.0,
+}
+"""What makes HIQL `hiql-places`, in both presets."""
 
 OPAL_FAST_IN_DOMAIN: dict[str | None, Changes] = {
     # A skill is the mean of many ways to walk, and gentle already.
@@ -123,10 +149,11 @@ def guider_config(
 ) -> GuiderConfig:
     """Guider's settings for a problem, with another learner for its low level where one is given (Figure 4), which
     `fast` trains for `low_updates` times as many updates: dear ones take no longer than Guider's own."""
+    learner = low or AwrConfig()
     paper = GuiderConfig(
         problem=problem,
         latent=LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", 2)),
-        low=GoalPolicyConfig(learner=low or AwrConfig()),
+        low=GoalPolicyConfig(learner=learner),
     )
     if preset == "paper":
         return paper
@@ -146,6 +173,7 @@ def guider_config(
             decoder_dropout=0.0,
             relative=True,
             error_in_spreads=True,
+            initialisation="fan_in",
         ),
         high=replace(
             paper.high,
@@ -154,10 +182,7 @@ def guider_config(
             hidden=(256, 256),
             relabel_fraction=0.7,
             random_goal_fraction=0.3,
-            samples=2,
-            lagrange_threshold=None,
-            conservative_weight=0.5,
-            cap_targets=True,
+            **_STEADY_CRITIC,
         ),
         low=replace(
             paper.low,
@@ -168,9 +193,10 @@ def guider_config(
             relative=True,
             relabel_fraction=0.5,
             random_goal_fraction=0.5,
+            learner=_fast_learner(problem, learner),
         ),
     )
-    fast = _change(fast, _in_domain(problem, FAST_IN_DOMAIN))
+    fast = override(fast, _in_domain(problem, FAST_IN_DOMAIN))
     return replace(fast, low=replace(fast.low, updates=round(fast.low.updates * low_updates)))
 
 
@@ -189,13 +215,14 @@ def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, update
         learning_rate=1e-3,
         decay=True,
         relative=True,
+        learner=_fast_learner(problem, learner),
     )
-    return _change(fast, _FLAT | _in_domain(problem, FLAT_FAST_IN_DOMAIN))
+    return override(fast, _in_domain(problem, FLAT_FAST_IN_DOMAIN))
 
 
-def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
-    """HIQL's settings for a problem."""
-    paper = HiqlConfig(problem=problem)
+def hiql_config(preset: Preset, problem: Problem, places: bool = False) -> HiqlConfig:
+    """HIQL's settings for a problem, or those of its variant on places."""
+    paper = override(HiqlConfig(problem=problem), _ON_PLACES if places else {})
     if preset == "paper":
         return paper
     shared = {"batch_size": 256, "learning_rate": 1e-3, "decay": True}
@@ -204,14 +231,12 @@ def hiql_config(preset: Preset, problem: Problem) -> HiqlConfig:
         view=_fast_view(problem),
         precision="auto",
         relative=True,
-        subgoal="place",
         value=replace(
             paper.value,
             updates=20_000,
             hidden=(256, 256),
             discount=0.995,
             target_rate=0.02,
-            backup_steps=5,
             **shared,
         ),
         high=replace(paper.high, updates=8_000, hidden=(256, 256), **shared),
@@ -250,10 +275,7 @@ def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
             random_goal_fraction=0.3,
             prior=True,
             target_divergence=0.4,
-            samples=2,
-            lagrange_threshold=None,
-            conservative_weight=0.5,
-            cap_targets=True,
+            **_STEADY_CRITIC,
         ),
     )
     return override(fast, _in_domain(problem, OPAL_FAST_IN_DOMAIN))
@@ -264,10 +286,12 @@ def _in_domain(problem: Problem, changes: dict[str | None, Changes]) -> Changes:
     return EVERY_FAST_IN_DOMAIN.get(problem.domain, {}) | changes.get(problem.domain, {})
 
 
-def _change(config: C, changes: Changes) -> C:
-    """The config with those of the changes that are for its learner, or for any."""
-    names = flatten(to_dict(config))
-    return override(config, {name: value for name, value in changes.items() if "learner." not in name or name in names})
+def _fast_learner(problem: Problem, learner: LearnerConfig) -> LearnerConfig:
+    """A learner with those of `fast`'s changes that are for it."""
+    names = flatten(to_dict(learner)).keys() - ({"discount"} if learner.kind == "awr" else set())
+    in_domain = LEARNERS_FAST_IN_DOMAIN.get(problem.domain, {})
+    changes = {name: value for name, value in in_domain.items() if name in names}
+    return override(learner, LEARNERS_FAST.get(learner.kind, {}) | changes)
 
 
 IDLE_STRETCHES = ("antmaze", "fetch", "kitchen")
@@ -293,5 +317,6 @@ _PRESETS: dict[str, Callable[[Preset, Problem], Any]] = {
     "cql-her": partial(flat_config, learner=CqlConfig(), updates=12_000, changes={"relabel_fraction": 0.8}),
     "iql": partial(flat_config, learner=IqlConfig(), updates=25_000, changes={"relabel_fraction": 0.8}),
     "hiql": hiql_config,
+    "hiql-places": partial(hiql_config, places=True),
     "opal": opal_config,
 }

@@ -57,7 +57,7 @@ from guider.processor import settled
 from guider.stopping import on_signals
 from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
-FORMAT = 5
+FORMAT = 6
 LONGEST_PATH = 3800
 """Bytes of a run's directory; what lies in it has longer names, up to the system's 4096."""
 

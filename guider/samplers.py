@@ -57,7 +57,8 @@ class LowBatch(NamedTuple):
     """Low-level transitions (Algorithm 1, lines 14-16).
 
     observation, next_observation: [B, S]; action: [B, A] in [-1, 1]; achieved, next_achieved: [B, G];
-    subgoal, goal: [B, G], g_sub and g_final; subgoal_steps: [B] steps from the row to the one g_sub was taken from.
+    subgoal, goal: [B, G], g_sub and g_final; subgoal_steps: [B] steps from the row to the one g_sub was taken from;
+    chosen_at: [B, G], s^G where g_sub was chosen.
     """
 
     observation: jax.Array
@@ -67,6 +68,7 @@ class LowBatch(NamedTuple):
     next_achieved: jax.Array
     subgoal: jax.Array
     subgoal_steps: jax.Array
+    chosen_at: jax.Array
     goal: jax.Array
 
 
@@ -316,18 +318,26 @@ def sample_low(
     key: jax.Array,
     batch_size: int,
     subgoal_steps: int,
+    kept_steps: int,
     relabel_fraction: float,
     random_goal_fraction: float,
 ) -> LowBatch:
     """Low-level transitions with hindsight subgoals (Algorithm 1, lines 14-16).
 
-    g_sub = s^G_j with j uniform in [t + 1, min(t + subgoal_steps, T)]; g_final = s^G_i with i uniform in
-    [j, T], j included: every final approach looks like that.
+    g_sub = s^G_j with j uniform in [t + 1, min(k + subgoal_steps, T)]; g_final = s^G_i with i uniform in [j, T], j
+    included: every final approach looks like that. k <= t is where g_sub was chosen: t itself where kept_steps is 1,
+    else uniform over the kept_steps states, of the same episode, that end with t.
     """
     row_key, subgoal_key, goal_key = jax.random.split(key, 3)
     rows = _choose(row_key, data.transition_rows, batch_size)
     last = data.last_row[rows]
-    subgoal_rows = jax.random.randint(subgoal_key, rows.shape, rows + 1, jnp.minimum(rows + subgoal_steps, last) + 1)
+    chosen_at = rows
+    if kept_steps > 1:
+        first = jnp.searchsorted(data.last_row, last)  # of the episode: the first row whose last row is this
+        earliest = jnp.maximum(first, rows - kept_steps + 1)
+        chosen_at = jax.random.randint(jax.random.fold_in(key, 3), rows.shape, earliest, rows + 1)
+    furthest = jnp.minimum(chosen_at + subgoal_steps, last)
+    subgoal_rows = jax.random.randint(subgoal_key, rows.shape, rows + 1, furthest + 1)
     goal, _ = _goals(data, goal_key, subgoal_rows, last, relabel_fraction, random_goal_fraction)
     return LowBatch(
         observation=data.observations[rows],
@@ -337,6 +347,7 @@ def sample_low(
         next_achieved=data.achieved[rows + 1],
         subgoal=data.achieved[subgoal_rows],
         subgoal_steps=subgoal_rows - rows,
+        chosen_at=data.achieved[chosen_at],
         goal=goal,
     )
 

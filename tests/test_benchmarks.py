@@ -19,7 +19,7 @@ from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, GuiderState
 from guider.methods.view import prepare, unit_scale
-from guider.networks import Gaussian
+from guider.networks import Gaussian, gaussian_head, mlp
 from guider.presets import guider_config
 from guider.problem import Problem
 from guider.samplers import Windows
@@ -98,7 +98,7 @@ def test_low_level_updates_agree(baseline):
     torch_batch = baseline.GoalBatch(*map(tensor, batch[:4]))
     for _ in range(2):
         weighted_loss = _low_level_loss(config, state, batch)
-        loss = policy.loss(torch_batch)
+        loss = policy.loss(torch_batch, *map(tensor, low_noise(state)))
         assert loss.item() == pytest.approx(weighted_loss, rel=1e-4)
         baseline.minimise(loss, policy.networks, policy.optimisers)
         baseline.move_targets(policy.targets, policy.critics, learner.target_rate)
@@ -110,16 +110,28 @@ def update_low(config: GuiderConfig, state: awr.AwrState, batch: Transitions):
     return awr.update(config.low.learner, state, batch, jax.random.key(0), config.low.learning_rate)
 
 
+def low_noise(state: awr.AwrState) -> list[jax.Array]:
+    """What `update_low` draws for pi_l(s') and pi_l(s), [B, A] each."""
+    key, layers = jax.random.key(0), len(state.params.actor)
+    keys = jax.random.fold_in(jax.random.fold_in(key, layers + 1), layers), jax.random.fold_in(key, layers)
+    return [jax.random.normal(key, (32, SPACES.action_dim)) for key in keys]
+
+
 def _low_level_loss(config: GuiderConfig, state: awr.AwrState, batch: Transitions) -> float:
     """TD error as `update` reports it, plus the regression of Eq. 6 from its definition."""
     learner = config.low.learner
     assert isinstance(learner, awr.AwrConfig)
     _, metrics = update_low(config, state, batch)
-    predicted = awr.act(state, batch.state)
-    values = awr.twin_values(state.params.critic, batch.state, batch.action).min(axis=0)
-    baseline = awr.twin_values(state.params.critic, batch.state, predicted).min(axis=0)
-    weight = jnp.minimum(jnp.exp((values - baseline) / learner.temperature), learner.weight_ceiling)
-    return float(metrics["td_error"] + (weight * ((predicted - batch.action) ** 2).mean(axis=-1)).mean())
+    next_action, action = (
+        gaussian_head(mlp(state.params.actor, inputs)).mean
+        + jnp.exp(gaussian_head(mlp(state.params.actor, inputs)).log_std) * noise
+        for inputs, noise in zip((batch.next_state, batch.state), low_noise(state), strict=True)
+    )
+    next_value = awr.twin_values(state.params.critic, batch.next_state, next_action)[0]
+    ahead = jnp.where(batch.reward < 0, batch.reward + learner.discount * next_value, 0.0)
+    advantage = ahead - awr.twin_values(state.params.critic, batch.state, action)[0]
+    weight = jnp.minimum(jnp.exp(advantage / learner.temperature), learner.weight_ceiling)
+    return float(metrics["td_error"] + (weight * ((action - batch.action) ** 2).mean(axis=-1)).mean())
 
 
 def test_high_level_losses_agree(baseline):
@@ -131,9 +143,9 @@ def test_high_level_losses_agree(baseline):
     baseline.copy_twins(policy.critics, state.params.critic)
     target = jax.tree.map(lambda leaf: 0.9 * leaf, state.target_critic)
     baseline.copy_twins(policy.targets, target)
-    prior = Gaussian(normal(5, 32, 2), 0.1 * normal(6, 32, 2))
+    prior = Gaussian(normal(5, 32, 2), 0.1 * normal(6, 32, 2))  # of both states: CQL's backup asks none
     reward = jnp.where(normal(3, 32) > 1, 0.0, -1.0)
-    batch = subgoal_policy.Transitions(normal(1, 32, 4), normal(2, 32, 2), reward, normal(4, 32, 4), prior)
+    batch = subgoal_policy.Transitions(normal(1, 32, 4), normal(2, 32, 2), reward, normal(4, 32, 4), prior, prior)
     critic_key, actor_key = jax.random.split(jax.random.key(7))
     next_key, now_key, uniform_key = jax.random.split(critic_key, 3)
     draws = (samples, 32, 2)
@@ -145,7 +157,7 @@ def test_high_level_losses_agree(baseline):
     )
     torch_batch = baseline.SubgoalBatch(*map(tensor, batch[:4]), prior=baseline.Gaussian(*map(tensor, prior)))
     critic, actor, lagrange = policy.losses(torch_batch, noise)
-    ours, _ = subgoal_policy._sampled_critic_loss(settings, state.params, target, batch, critic_key)
+    ours, _ = subgoal_policy._cql_critic_loss(settings, state.params, target, batch, critic_key)
     ours_actor, _ = subgoal_policy._actor_loss(settings, state.params, batch, actor_key)
     assert (critic + lagrange).item() == pytest.approx(float(ours), rel=1e-4)
     assert actor.item() == pytest.approx(float(ours_actor), rel=1e-4)

@@ -20,7 +20,7 @@ from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.view import Scale, ViewConfig, prepare
-from guider.networks import Gaussian, twin_values
+from guider.networks import twin_values
 from guider.policy import Policy, act, compiled_act, initial_state
 from guider.presets import guider_config
 from guider.problem import Problem
@@ -121,6 +121,7 @@ def test_low_inputs_and_reward_by_hand():
         next_achieved=jnp.array([[2.0, 2.0]]),
         subgoal=jnp.array([[2.4, 2.0]]),
         subgoal_steps=jnp.array([3]),
+        chosen_at=jnp.array([[0.0, 2.0]]),
         goal=jnp.array([[11.0, 2.0]]),
     )
     seen = method.relabel_low(config, state, batch, jax.random.key(0))
@@ -153,43 +154,6 @@ def test_targets_start_as_copies_of_the_critics():
 
 def _unit() -> Scale:
     return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
-
-
-def test_fused_cql_pass_is_the_separate_one():
-    """One critic pass over data and samples gives the TD error and gap of passes apart."""
-    config = replace(subgoal_policy.SubgoalPolicyConfig(hidden=(8,), samples=3), lagrange_threshold=None, discount=0.9)
-    state = subgoal_policy.init(jax.random.key(0), config, 4, 2)
-    key = jax.random.key(1)
-    normal = jax.random.normal
-    batch = subgoal_policy.Transitions(
-        state=normal(key, (6, 4)),
-        latent=normal(jax.random.key(2), (6, 2)),
-        reward=jnp.array([-1.0, 0, -1, -1, 0, -1]),
-        next_state=normal(jax.random.key(3), (6, 4)),
-        prior=Gaussian(jnp.zeros((6, 2)), jnp.zeros((6, 2))),
-    )
-    total, metrics = subgoal_policy._sampled_critic_loss(config, state.params, state.target_critic, batch, key)
-    plain, plain_metrics = subgoal_policy._sampled_critic_loss(
-        replace(config, critic="td"), state.params, state.target_critic, batch, key
-    )
-    np.testing.assert_allclose(metrics["td_error"], plain_metrics["td_error"], rtol=1e-5)
-    np.testing.assert_allclose(total, plain + 2 * metrics["conservative_gap"], rtol=1e-5)
-
-
-def test_actor_loss_by_hand():
-    """Eq. 4: with a critic that is zero everywhere, what is left is alpha * KL, and alpha moves towards the target."""
-    config = subgoal_policy.SubgoalPolicyConfig(hidden=(8,), target_divergence=1.0)
-    params = subgoal_policy.init(jax.random.key(0), config, 4, 2).params
-    zeros = jax.tree.map(jnp.zeros_like, params)  # policy N(0, 1), Q = 0, alpha = 1
-    prior = Gaussian(jnp.full((3, 2), 2.0), jnp.zeros((3, 2)))
-    batch = subgoal_policy.Transitions(jnp.zeros((3, 4)), jnp.zeros((3, 2)), -jnp.ones(3), jnp.zeros((3, 4)), prior)
-    loss, metrics = subgoal_policy._actor_loss(config, zeros, batch, jax.random.key(1))
-    assert float(metrics["divergence"]) == pytest.approx(2.0)  # (2 - 0)^2 / 2 nats in each dimension
-    assert float(loss) == pytest.approx(2.0)
-    slope = jax.grad(
-        lambda a: subgoal_policy._actor_loss(config, zeros._replace(log_alpha=a), batch, jax.random.key(1))[0]
-    )
-    assert float(slope(jnp.zeros(()))) == pytest.approx(-1.0)  # target - KL: alpha must grow
 
 
 def constant_policy(**acting) -> Policy:
@@ -240,24 +204,46 @@ def test_final_goal_is_substituted_only_within_reach():
     np.testing.assert_allclose(subgoal, [[0.9, 0.0], [0.0, 0.0]])
 
 
-def test_candidates_are_the_priors_and_the_critic_chooses():
-    episodes, config = make_ragged(), tiny(guider_config("fast", Problem(0.5, 1.0, 5)))
+@pytest.mark.parametrize("prior", [True, False])
+def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses(prior):
+    """Two candidates of a distribution of no spread lie at its mean: where the prior is off, nothing of it is left."""
+    episodes = make_ragged()
+    config = override(tiny(guider_config("fast", Problem(0.5, 1.0, 5))), {"high.prior": prior})
     _, scale = prepare(config.view, config.problem, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
     achieved, goal = jnp.asarray(episodes.achieved[:4]), jnp.full((4, 2), 100.0)
     inputs = method.high_inputs(scale, achieved, goal)
+    policy = subgoal_policy.propose(state.high.params, inputs)
+    source = latent_subgoals.prior(state.latent.params, scale, achieved) if prior else policy
     _, mean = method.propose_subgoal(config, state, achieved, goal)
-    np.testing.assert_array_equal(mean, subgoal_policy.propose(state.high.params, inputs).mean)
+    np.testing.assert_array_equal(mean, policy.mean)
+    assert method.acts_by(config) == "mean of the subgoal policy"
 
-    _, chosen = method.propose_subgoal(replace(config, candidates=32), state, achieved, goal)
-    _, once_more = method.propose_subgoal(replace(config, candidates=32), state, achieved, goal)
+    many = replace(config, candidates=32)
+    assert method.acts_by(many) == f"best of 32 samples of the {'prior' if prior else 'subgoal policy'}"
+    _, chosen = method.propose_subgoal(many, state, achieved, goal)
+    _, once_more = method.propose_subgoal(many, state, achieved, goal)
     np.testing.assert_array_equal(chosen, once_more)
-    prior = latent_subgoals.prior(state.latent.params, scale, achieved)
-    elsewhere = prior.sample(jax.random.key(5), (500,)).swapaxes(0, 1)
+    elsewhere = source.sample(jax.random.key(5), (500,)).swapaxes(0, 1)
     values = twin_values(state.high.params.critic, inputs, elsewhere).min(axis=0)
     best = twin_values(state.high.params.critic, inputs, chosen).min(axis=0)
-    assert bool(jnp.all(best > jnp.quantile(values, 0.8, axis=1))), "better than most of what the prior offers"
-    assert bool(jnp.all(jnp.abs(chosen - prior.mean) < 4 * jnp.exp(prior.log_std)))
+    assert bool(jnp.all(best > jnp.quantile(values, 0.8, axis=1))), "better than most of what it offers"
+    drawn = source.sample(jax.random.key(0), (32,)).swapaxes(0, 1)
+    assert bool(jnp.all((drawn == chosen[:, None]).all(axis=-1).any(axis=1))), "one of its samples"
+
+
+def test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen():
+    config = override(guider_config("paper", Problem(0.5, 1.0, 5)), {"low.subgoal_input": "latent"})
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = state._replace(latent=jax.tree.map(lambda leaf: leaf + 0.1, state.latent))
+    here, chosen_at, subgoal = jnp.ones((1, 2)), jnp.array([[-3.0, 2.0]]), jnp.array([[4.0, 0.0]])
+    batch = LowBatch(
+        jnp.ones((1, 4)), jnp.zeros((1, 2)), jnp.ones((1, 4)), here, here, subgoal, jnp.array([3]), chosen_at, here
+    )
+    seen = method.relabel_low(config, state, batch, jax.random.key(1))
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, chosen_at, subgoal)
+    np.testing.assert_array_equal(seen.state[:, 4:6], posterior.sample(jax.random.key(1)))
+    np.testing.assert_array_equal(seen.next_state[:, 4:6], seen.state[:, 4:6])
 
 
 def test_small_spreads_of_goal_entries_are_not_blown_up():

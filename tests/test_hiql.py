@@ -182,7 +182,7 @@ def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen, counted):
         error = method.propose(config, params, unit(), batch.observation, batch.achieved, batch.goal) - z
     else:
         weight = 5.0  # exp(1 / 0.5) = 7.4 is above the ceiling
-        error = method.control(params, unit(), batch.observation, batch.achieved, z) - 0.5
+        error = method.control(config, params, unit(), batch.observation, batch.achieved, z) - 0.5
     assert float(metrics["weight"]) == pytest.approx(weight, rel=1e-5)
     mean = jnp.mean(error**2 if counted == "squared" else jnp.abs(error))
     assert float(loss) == pytest.approx(weight * float(mean), rel=1e-5)

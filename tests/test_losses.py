@@ -66,16 +66,17 @@ def test_td_target_stops_at_a_met_goal():
 
 
 def test_conservative_gap_by_hand():
-    # log mean(exp(1 - ln .5), exp(3 - ln .25)) - 2 = ln((2e + 4e^3) / 2) - 2
+    # log(exp(1 - ln .5) + exp(3 - ln .25)) - 2 = ln(2e + 4e^3) - 2
     gap = losses.conservative_gap(jnp.array([[1.0, 3.0]]), jnp.log(jnp.array([[0.5, 0.25]])), jnp.array([2.0]))
-    np.testing.assert_allclose(gap, [np.log((2 * np.e + 4 * np.e**3) / 2) - 2], rtol=1e-6)
+    np.testing.assert_allclose(gap, [np.log(2 * np.e + 4 * np.e**3) - 2], rtol=1e-6)
 
 
 def test_conservative_gap_estimates_the_log_integral():
-    """With Q constant over a box of volume V, log-sum-exp over z of Q is Q + log V, whatever the proposals."""
+    """With Q constant over a box of volume V, log-sum-exp over z of Q is Q + log V, whatever the proposals, but for the
+    log of their number: a sum is taken, as in the authors' unit."""
     uniform = jnp.full((1, 5000), 0.7)
     gap = losses.conservative_gap(uniform, jnp.full((1, 5000), -jnp.log(6.0)), jnp.array([0.7]))
-    np.testing.assert_allclose(gap, [np.log(6.0)], rtol=1e-5)
+    np.testing.assert_allclose(gap, [np.log(6.0) + np.log(5000)], rtol=1e-5)
 
 
 def test_expectile_loss_by_hand_and_fixed_point():
@@ -194,3 +195,11 @@ def test_goal_reward_counts_the_parts_in_place():
     achieved = jnp.array([[0.2, 0.1, 0.2], [0.2, 0.3, 0.1], [0.4, 0.3, 0.1]])
     assert losses.goal_reward(achieved, goal, 0.3, ((0,), (1, 2))).tolist() == [0.0, -1.0, -2.0]
     assert jnp.allclose(largest_distance(achieved, goal, ((0,), (1, 2))), jnp.array([0.05**0.5, 0.1**0.5, 0.4]))
+
+
+def test_surprise_by_hand():
+    """At 0.5 of a mean 0 and a spread of 2: Gaussian, (1/4)^2 / 2 + ln 2 + ln(2 pi) / 2; Laplace, 1/4 + ln 2 + ln 2."""
+    policy, action = Gaussian(jnp.zeros((1, 2)), jnp.full((1, 2), jnp.log(2.0))), jnp.full((1, 2), 0.5)
+    gaussian = 1 / 32 + np.log(2) + np.log(2 * np.pi) / 2
+    np.testing.assert_allclose(losses.surprise(policy, action, "squared"), [2 * gaussian], rtol=1e-6)
+    np.testing.assert_allclose(losses.surprise(policy, action, "absolute"), [2 * (1 / 4 + 2 * np.log(2))], rtol=1e-6)

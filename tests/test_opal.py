@@ -131,19 +131,37 @@ def test_nothing_beyond_the_episode_gets_in(stride):
         assert float(jnp.abs(moved - look(given)[0]).min()) > 0
 
 
-@pytest.mark.parametrize(("counted", "error"), [("squared", 0.625), ("absolute", 0.75)])
-def test_evidence_lower_bound_by_hand(counted, error):
-    """A decoder that answers 0 and actions of (0.5, 1): the same error at every step, five in one window and three in
-    the other; q = N(0, 1) and rho = N(1, 1) in three dimensions are 1.5 nats apart."""
+@pytest.mark.parametrize(
+    ("counted", "surprise"),
+    [("squared", (0.25 + 1) / 2 + np.log(2 * np.pi)), ("absolute", 0.5 + 1 + 2 * np.log(2))],
+)
+def test_evidence_lower_bound_by_hand(counted, surprise):
+    """A decoder that answers a mean of 0 and a spread of 1, and actions of (0.5, 1): -log pi, summed over both, is the
+    same at every step, five in one window and three in the other; q = N(0, 1) and rho = N(1, 1) in three dimensions are
+    1.5 nats apart."""
     config = small({"skills.beta": 0.2, "skills.regression.error": counted})
     params = jax.tree.map(jnp.zeros_like, fresh(config).skills.params)
     *hidden, (weight, bias) = params.prior
     params = params._replace(prior=(*hidden, (weight, bias.at[:3].set(1.0))))
     given = window()._replace(actions=jnp.broadcast_to(jnp.array([0.5, 1.0]), (2, 5, 2)))
     loss, metrics = method.skills_loss(config.skills, params, unit(), given, jax.random.key(0))
-    assert float(loss) == pytest.approx((5 + 3) * error / 2 + 0.2 * 1.5)
+    assert float(loss) == pytest.approx((5 + 3) * surprise / 2 + 0.2 * 1.5)
     assert float(metrics["kl"]) == pytest.approx(1.5)
-    assert float(metrics["action_error"]) == pytest.approx(error)
+    assert float(metrics["action_error"]) == pytest.approx(0.625)
+
+
+def test_the_spread_of_actions_is_learned():
+    """A wider spread makes far actions less surprising, a narrower one near ones."""
+    config = small({})
+    params = jax.tree.map(jnp.zeros_like, fresh(config).skills.params)
+
+    def loss(action, log_std):
+        *hidden, (weight, bias) = params.decoder
+        moved = params._replace(decoder=(*hidden, (weight, bias.at[2:].set(log_std))))
+        given = window()._replace(actions=jnp.full((2, 5, 2), action))
+        return float(method.skills_loss(config.skills, moved, unit(), given, jax.random.key(0))[0])
+
+    assert loss(1.0, -1.0) > loss(1.0, 0.0) and loss(0.1, -1.0) < loss(0.1, 0.0)
 
 
 @pytest.mark.parametrize(("dropout", "alike"), [(0.0, True), (0.5, False)])
@@ -210,7 +228,7 @@ def test_windows_stay_in_their_episode(boundary):
 
 def test_a_new_skill_every_period_and_at_resets():
     """All networks answer 0, and between steps 1 is added to the skill: it counts the steps it has been held."""
-    config = override(small({}), {"problem.period_steps": 3, "skills.latent_dim": 1})
+    config = override(small({}), {"skill_steps": 3, "skills.latent_dim": 1})
     state = jax.tree.map(jnp.zeros_like, fresh(config))
     policy = Policy(state._replace(scale=unit()), -jnp.ones(2), jnp.ones(2), "opal", config, (0, 1), 4)
     acting, steps_left = initial_state(policy, 2), []
@@ -233,6 +251,7 @@ def test_opal_learns_to_cross_a_corridor_longer_than_its_episodes_go():
     config = override(
         opal_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)),
         {
+            "skill_steps": 5,
             "skills.updates": 1500,
             "skills.latent_dim": 1,
             "skills.hidden": (32, 32),

@@ -150,6 +150,15 @@ def test_guide_heads_for_the_next_centre_then_for_the_goal():
     np.testing.assert_allclose(guide.waypoints(positions, goals), expected)
 
 
+def test_guide_from_centre_to_centre_turns_past_a_centre_and_leads_out_of_walls_forward():
+    """As D4RL's: 1.9 m along a row is still the cell of 1 m; on the way back 0.9 m is already that of 0 m."""
+    guide = Guide(make_maze("umaze", 1.0), centre_to_centre=True)
+    positions = [[-0.3, 0.2], [0.9, 0.2], [1.9, 0.4], [2.1, 0.9], [2.1, 2.3], [1.5, 1.2], [1.2, 1.9], [0.9, 2.2]]
+    expected = [[1.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 2.0], [1.0, 2.0], [1.0, 2.0], [0.1, 2.1]]
+    goals = np.tile([0.1, 2.1], (len(positions), 1))
+    np.testing.assert_allclose(guide.waypoints(np.array(positions), goals), expected)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_without_noise_the_controller_takes_the_route_in_time(name):
     task, maze = task_and_maze(name)

@@ -76,13 +76,29 @@ def test_no_sample_crosses_an_episode(lengths, period, boundary, seed):
         assert np.all(goal >= np.minimum(np.asarray(high.later[:, 1]) + offset, last[episode]))
         assert np.all(goal <= last[episode])
 
-    low = sample_low(data, key, 256, period, 1.0, 0.0)
+    low = sample_low(data, key, 256, period, 1, 1.0, 0.0)
     episode = np.asarray(low.achieved[:, 0], int)
     now, subgoal, goal = (np.asarray(x[:, 1]) for x in (low.achieved, low.subgoal, low.goal))
     assert np.array_equal(low.subgoal[:, 0], episode) and np.array_equal(low.goal[:, 0], episode)
     assert np.array_equal(low.next_achieved[:, 1], now + 1)
     assert np.all((now < subgoal) & (subgoal <= np.minimum(now + period, last[episode])))
     assert np.all((subgoal <= goal) & (goal <= last[episode]))
+
+
+def test_subgoals_that_are_kept_were_chosen_up_to_a_period_ago_in_the_same_episode():
+    """As acting has it: the age of a subgoal is uniform, and what it names lies within the period of where it was
+    chosen."""
+    data = device_data(labelled([12, 9]), 4, "clip", 0.0)
+    low = sample_low(data, jax.random.key(1), 200_000, 4, 4, 1.0, 0.0)
+    now, chosen, subgoal = (np.asarray(x[:, 1], int) for x in (low.achieved, low.chosen_at, low.subgoal))
+    assert np.array_equal(low.chosen_at[:, 0], low.achieved[:, 0])
+    ages = now - chosen
+    np.testing.assert_allclose(counts(ages[now >= 3], 4), 1 / 4, atol=0.01)
+    np.testing.assert_allclose(counts(ages[now == 1], 4), [1 / 2, 1 / 2, 0, 0], atol=0.02)
+    last = np.where(np.asarray(low.achieved[:, 0]) == 0, 11, 8)
+    assert np.all((now < subgoal) & (subgoal <= np.minimum(chosen + 4, last)))
+    at_five = (now == 5) & (chosen == 4)
+    np.testing.assert_allclose(counts(subgoal[at_five], 9)[6:], 1 / 3, atol=0.03)
 
 
 def test_windows_are_uniform_over_rows():
@@ -95,7 +111,7 @@ def test_windows_are_uniform_over_rows():
 
 def test_future_goals_are_uniform_and_subgoals_too():
     data = device_data(labelled([12]), 4, "clip", 0.0)
-    low = sample_low(data, jax.random.key(1), 200_000, 4, 1.0, 0.0)
+    low = sample_low(data, jax.random.key(1), 200_000, 4, 1, 1.0, 0.0)
     at_two = np.asarray(low.achieved[:, 1]) == 2
     subgoals = np.asarray(low.subgoal[:, 1])[at_two]
     np.testing.assert_allclose(counts(subgoals, 7)[3:7], 1 / 4, atol=0.015)
@@ -148,6 +164,6 @@ def test_the_device_shares_the_memory_of_the_episodes(ragged):
 
 def test_equal_keys_give_equal_batches(ragged):
     data = device_data(ragged, 5, "clip", 0.0)
-    first = sample_low(data, jax.random.key(5), 64, 5, 0.8, 0.1)
-    second = jax.jit(lambda d, k: sample_low(d, k, 64, 5, 0.8, 0.1))(data, jax.random.key(5))
+    first = sample_low(data, jax.random.key(5), 64, 5, 1, 0.8, 0.1)
+    second = jax.jit(lambda d, k: sample_low(d, k, 64, 5, 1, 0.8, 0.1))(data, jax.random.key(5))
     assert all(jnp.array_equal(a, b) for a, b in zip(first, second, strict=True))

@@ -37,6 +37,7 @@ class Recipe:
     goal_radius_m: within this distance of its goal an episode has reached it
     further_goals: whether an episode that reaches its goal is given another, so that it does not idle
     waypoint_offset_m: (least, greatest) distance of a waypoint from its cell's centre, uniform, along each axis
+    centre_to_centre: see Guide
     noise_spread:  standard deviation of the noise on every action entry
     burst_chance:  probability that a burst begins at a step
     burst_steps:   how long a burst lasts
@@ -52,6 +53,7 @@ class Recipe:
     goal_radius_m: float
     further_goals: bool = True
     waypoint_offset_m: tuple[float, float] = (0.0, 0.0)
+    centre_to_centre: bool = False
     noise_spread: float = 0.0
     burst_chance: float = 0.0
     burst_steps: int = 1
@@ -59,25 +61,36 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Guide:
-    """Knows a waypoint for every position and goal in a maze."""
+    """Knows a waypoint for every position and goal in a maze.
+
+    centre_to_centre: take a cell to reach from its centre to the next one's, and a wall entered so to lead to its free
+        neighbour nearest to the goal, as D4RL's guide does: one heads for a cell until past its centre on its way to
+        greater x or y, and turns early on the way back. Without, cells are as they are drawn.
+    """
 
     maze: Maze
+    centre_to_centre: bool = False
 
     @cached_property
     def _next_cells(self) -> np.ndarray:
         """[rows, columns, rows, columns, 2]: goal cell, current cell -> the cell to enter next."""
         table = np.zeros((*self.maze.walls.shape, *self.maze.walls.shape, 2), int)
         for row, column in self.maze.free_cells:
-            table[row, column] = self.maze.next_cells_to((row, column))
+            table[row, column] = self.maze.next_cells_to((row, column), across_walls=self.centre_to_centre)
         return table
+
+    def _cell_of(self, xy: np.ndarray) -> np.ndarray:
+        if self.centre_to_centre:
+            xy = np.maximum(xy, 0.0) - self.maze.cell_size_m / 2
+        return self.maze.cell_of(xy)
 
     def waypoints(self, xy: np.ndarray, goals: np.ndarray, offsets: np.ndarray | float = 0.0) -> np.ndarray:
         """[n, 2] positions, [n, 2] goals in free cells, [n, 2] offsets -> [n, 2] where to head, all in metres.
 
         The offset from the centre of the next cell on a shortest way, or the goal itself once the next cell is its own.
         """
-        goal_cells = self.maze.cell_of(goals)
-        following = self._next_cells[(*goal_cells.T, *self.maze.cell_of(xy).T)]
+        goal_cells = self._cell_of(goals)
+        following = self._next_cells[(*goal_cells.T, *self._cell_of(xy).T)]
         arriving = np.all(following == goal_cells, axis=-1)
         return np.where(arriving[:, None], goals, self.maze.cell_centre(following) + offsets)
 
@@ -92,7 +105,7 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
         raise GuiderError(f"cannot record {steps} steps: an episode needs at least two")
     episodes = -(-steps // recipe.episode_steps)
     seeds = np.random.SeedSequence(seed).generate_state(episodes, np.uint64)
-    guide = Guide(recipe.maze)
+    guide = Guide(recipe.maze, recipe.centre_to_centre)
     batches = []
     report(0, steps)
     for first in range(0, episodes, EPISODES_AT_ONCE):

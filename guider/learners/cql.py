@@ -1,7 +1,9 @@
 """CQL+HER: conservative Q-learning (Kumar et al. 2020; CQL(H) on a soft actor-critic) on relabelled goals.
 
-As for Guider's high level, the Bellman target stops at a met goal, targets start as copies of the critics, and every
-sample is weighted by the density it was drawn from.
+Where the authors' code and this file differ: its weight is fixed instead of tuned by a threshold; the Bellman target
+stops at a met goal; targets start as copies of the critics; the backup and the penalty share the samples of the next
+state, and the best by the smaller critic is backed up; cloning, if any, goes on throughout; critic, actor and alpha
+step together. Guider's authors published no code of their CQL+HER.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ def init(key: jax.Array, config: CqlConfig, hidden: tuple[int, ...], input_dim: 
     return CqlState(params, params.critic, adam_init(params))
 
 
-def act(state: CqlState, inputs: jax.Array) -> jax.Array:
+def act(config: CqlConfig, state: CqlState, inputs: jax.Array) -> jax.Array:
     """tanh of the mean of pi(. | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
     return jnp.tanh(_policy(state.params.actor, inputs).mean)
 

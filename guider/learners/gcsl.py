@@ -1,6 +1,8 @@
 """Goal-conditioned supervised learning (Ghosh et al. 2021): regress the logged action on state and goal.
 
 With goals taken from the future of the same episode it is GCSL; with each episode's own goal, plain behaviour cloning.
+Where the authors' code and this file differ: it learns from logged data alone, as WGCSL's authors run it; actions are
+continuous, with a fixed spread, where theirs are discrete; the horizon left is not shown.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ def init(key: jax.Array, config: GcslConfig, hidden: tuple[int, ...], input_dim:
     return GcslState(params, adam_init(params))
 
 
-def act(state: GcslState, inputs: jax.Array) -> jax.Array:
+def act(config: GcslConfig, state: GcslState, inputs: jax.Array) -> jax.Array:
     """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
     return most_likely(state.params, inputs)
 

@@ -1,4 +1,9 @@
-"""Implicit Q-learning (Kostrikov et al. 2022), conditioned on goals: no action is asked for that the data lacks."""
+"""Implicit Q-learning (Kostrikov et al. 2022), conditioned on goals: no action is asked for that the data lacks.
+
+Where the authors' code and this file differ: the policy has a fixed spread, and no dropout or cosine rate in `paper`;
+the Bellman target stops at a met goal; V, Q and policy step together; networks start as PyTorch's do; three layers of
+256, where theirs are two, as for all flat methods here.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +61,7 @@ def init(key: jax.Array, config: IqlConfig, hidden: tuple[int, ...], input_dim: 
     return IqlState(params, params.critic, adam_init(params))
 
 
-def act(state: IqlState, inputs: jax.Array) -> jax.Array:
+def act(config: IqlConfig, state: IqlState, inputs: jax.Array) -> jax.Array:
     """Mean of pi(a | s, g), in [-1, 1]. inputs: [..., inputs] scaled. Returns [..., A]."""
     return most_likely(state.params.actor, inputs)
 

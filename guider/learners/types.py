@@ -30,7 +30,7 @@ class Learner:
 
     init:   (key, config, hidden, input_dim, action_dim) -> state, a NamedTuple with `params` and `optimiser`
     update: (config, state, Transitions, key, learning rate) -> (state, metrics)
-    act:    (state, inputs [..., inputs]) -> the most likely actions [..., A] in [-1, 1]
+    act:    (config, state, inputs [..., inputs]) -> the most likely actions [..., A] in [-1, 1]
     """
 
     init: Callable[..., Any]

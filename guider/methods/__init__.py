@@ -35,6 +35,7 @@ _FLAT = Method(flat.FlatConfig, flat.init, flat.stages, flat.initial_acting_stat
 _GUIDER = Method(
     guider.GuiderConfig, guider.init, guider.stages, guider.initial_acting_state, guider.act, guider.pursued
 )
+_HIQL = Method(hiql.HiqlConfig, hiql.init, hiql.stages, hiql.initial_acting_state, hiql.act)
 
 METHODS = {
     "guider": _GUIDER,
@@ -46,7 +47,8 @@ METHODS = {
     "wgcsl": _FLAT,
     "cql-her": _FLAT,
     "iql": _FLAT,
-    "hiql": Method(hiql.HiqlConfig, hiql.init, hiql.stages, hiql.initial_acting_state, hiql.act),
+    "hiql": _HIQL,
+    "hiql-places": _HIQL,
     "opal": Method(opal.OpalConfig, opal.init, opal.stages, opal.initial_acting_state, opal.act),
 }
 """Methods by name; guider.presets holds what tells those of one family apart."""

@@ -129,4 +129,4 @@ def act(
     """The most likely actions [B, A] in [-1, 1]. observation: [B, S]; goal: [B, G]."""
     achieved = observation[..., jnp.asarray(goal_indices)]
     seen = inputs(config, state.scale, observation, achieved, goal)
-    return learner(config.learner).act(state.policy, seen), ()
+    return learner(config.learner).act(config.learner, state.policy, seen), ()

@@ -44,7 +44,8 @@ class GoalPolicyConfig:
     random_goal_fraction: float = 0.0
     """Share of final goals drawn from any trajectory (departure)."""
     subgoal_input: Literal["goal", "latent"] = "goal"
-    """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_t, s^G_j) (Figure 5, without decoder)."""
+    """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_k, s^G_j), encoded where acting would have chosen
+    it, up to c - 1 steps ago (Figure 5, without decoder)."""
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
     learner: LearnerConfig = field(default_factory=AwrConfig)
@@ -68,8 +69,8 @@ class GuiderConfig:
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     candidates: int = 1
-    """Acting: 1 takes the mean of pi_h; more take the best, by the critic, of so many samples of rho: where several
-    things may come next, a mean lies between them (departure)."""
+    """Acting: 1 takes the mean of pi_h; more take the best, by the critic, of so many samples of rho, or of pi_h where
+    `high.prior` is off: where several things may come next, a mean lies between them (departure)."""
     final_goal_substitution: bool = False
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
@@ -145,15 +146,17 @@ def relabel_high(
         reward=losses.goal_reward(batch.later, batch.goal, config.problem.radius, config.problem.goal_parts),
         next_state=high_inputs(state.scale, batch.later, batch.goal),
         prior=latent_subgoals.prior(params, state.scale, batch.achieved),
+        next_prior=latent_subgoals.prior(params, state.scale, batch.later),
     )
 
 
 def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array) -> Transitions:
-    """Algorithm 1, line 16. The reward is for meeting the subgoal (Eq. 1), in goal space always."""
+    """Algorithm 1, line 16. The reward is for meeting the subgoal (Eq. 1), in goal space always. Without decoder, z is
+    encoded where the subgoal was chosen, as it is when acting."""
     subgoal = batch.subgoal
     if config.low.subgoal_input == "latent":
         params = state.latent.params
-        subgoal = latent_subgoals.encode(config.latent, params, state.scale, batch.achieved, batch.subgoal).sample(key)
+        subgoal = latent_subgoals.encode(config.latent, params, state.scale, batch.chosen_at, batch.subgoal).sample(key)
     return Transitions(
         state=low_inputs(config, state, batch.observation, batch.achieved, subgoal, batch.goal),
         action=batch.action,
@@ -195,6 +198,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             sample_key,
             settings.batch_size,
             period_steps + settings.subgoal_slack_steps,
+            period_steps if settings.subgoal_input == "latent" else 1,
             settings.relabel_fraction,
             settings.random_goal_fraction,
         )
@@ -225,16 +229,24 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
     return ActingState(jnp.zeros((batch_size, goal_dim)), latent, jnp.zeros(batch_size, jnp.int32))
 
 
+def acts_by(config: GuiderConfig) -> str:
+    """How a subgoal is chosen, for tables."""
+    if config.candidates == 1:
+        return "mean of the subgoal policy"
+    return f"best of {config.candidates} samples of the {'prior' if config.high.prior else 'subgoal policy'}"
+
+
 def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-    """The mean of pi_h, or the best of `candidates`, which are the same quantiles of rho at every step.
+    """The mean of pi_h, or the best of `candidates`, which are the same quantiles of rho, or of pi_h, at every step.
 
     achieved, goal: [B, G] -> [B, Z].
     """
     inputs = high_inputs(state.scale, achieved, goal)
+    policy = subgoal_policy.propose(state.high.params, inputs)
     if config.candidates == 1:
-        return subgoal_policy.propose(state.high.params, inputs).mean
-    prior = latent_subgoals.prior(state.latent.params, state.scale, achieved)
-    latents = prior.sample(jax.random.key(0), (config.candidates,)).swapaxes(0, 1)
+        return policy.mean
+    source = latent_subgoals.prior(state.latent.params, state.scale, achieved) if config.high.prior else policy
+    latents = source.sample(jax.random.key(0), (config.candidates,)).swapaxes(0, 1)
     values = twin_values(state.high.params.critic, inputs, latents).min(axis=0)
     return jnp.take_along_axis(latents, values.argmax(axis=1)[:, None, None], axis=1)[:, 0]
 
@@ -283,7 +295,8 @@ def act(
     steps_left = jnp.where(renew, problem.period_steps, acting.steps_left) - 1
     seen = latent if config.low.subgoal_input == "latent" else subgoal
     inputs = low_inputs(config, state, observation, achieved, seen, goal)
-    return learner(config.low.learner).act(state.low, inputs), ActingState(subgoal, latent, steps_left)
+    actions = learner(config.low.learner).act(config.low.learner, state.low, inputs)
+    return actions, ActingState(subgoal, latent, steps_left)
 
 
 def pursued(config: GuiderConfig, acting: ActingState) -> tuple[jax.Array, jax.Array]:

@@ -2,8 +2,11 @@
 
 One goal-conditioned value function, learned without actions, weighs two regressions: of the high level, which names a
 state k steps ahead by its representation z = phi(s, .), and of the low level, which goes there. Goals are places in
-goal space as everywhere in this package, so phi takes a state and a place. Value, high and low level are trained in
-sequence, for neither actor changes the value; the authors train all at once.
+goal space as everywhere in this package, so phi takes a state and a place. Preset `paper` is OGBench's HIQL with its
+settings for antmaze, in networks, goals, temperature and all; where it differs: goals are places instead of whole
+states; value, high and low level are trained in sequence, for neither actor changes the value; layer norms have no
+gains and shifts of their own; networks start as PyTorch's do; the value's episode ends within the task's radius of the
+goal, instead of in its very state. With `subgoal="place"` it is another method, `hiql-places`, which no one published.
 """
 
 from __future__ import annotations
@@ -70,7 +73,7 @@ class ActorConfig:
     decay: bool = False
     """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
     hidden: tuple[int, ...] = (512, 512, 512)
-    temperature: float = 1.0
+    temperature: float = 1 / 3
     """Advantages, in environment steps, are divided by this before the exponential."""
     weight_ceiling: float = 100.0
     regression: RegressionConfig = field(default_factory=RegressionConfig)
@@ -90,11 +93,13 @@ class HiqlConfig:
     action_scale: float = 1.0
     subgoal_steps: int = 25
     """k: environment steps to the state that the high level names. (c of `problem` only serves `view`.)"""
-    random_goal_fraction: float = 0.3
+    squash: bool = False
+    """Whether tanh keeps the low level's actions within the bounds, or they are clipped when acting."""
+    random_goal_fraction: float = 0.0
     """Share of the high level's goals drawn from any trajectory; all others are uniform futures."""
     subgoal: Literal["representation", "place"] = "representation"
-    """What the high level names: phi(s, s_{t+k}), or the displacement s^G_{t+k} - s^G_t itself (departure): with little
-    training, phi knows how far a place is, and hardly in which direction."""
+    """What the high level names: phi(s, s_{t+k}), or the displacement s^G_{t+k} - s^G_t itself (`hiql-places`): with
+    little training, phi knows how far a place is, and hardly in which direction."""
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
     value: ValueConfig = field(default_factory=ValueConfig)
@@ -300,8 +305,12 @@ def low_loss(
     end = values(config, value, scale, batch.next_observation, batch.next_achieved, batch.ahead).mean(axis=0)
     z = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
     seen = control_inputs(scale, batch.observation, batch.achieved, z)
-    predicted = jnp.tanh(_actor(params, seen, config.low.regression.dropout, key))
+    predicted = _bounded(config, _actor(params, seen, config.low.regression.dropout, key))
     return _regression(config.low, end - begin, predicted, batch.action)
+
+
+def _bounded(config: HiqlConfig, outputs: jax.Array) -> jax.Array:
+    return jnp.tanh(outputs) if config.squash else outputs
 
 
 def propose(
@@ -311,9 +320,12 @@ def propose(
     return _actor(params, goal_inputs(config, scale, observation, achieved, goal))
 
 
-def control(params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array) -> jax.Array:
+def control(
+    config: HiqlConfig, params: Layers, scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array
+) -> jax.Array:
     """Mean of pi_l(a | s, z), [..., A] in [-1, 1]."""
-    return jnp.tanh(_actor(params, control_inputs(scale, observation, achieved, z)))
+    outputs = _actor(params, control_inputs(scale, observation, achieved, z))
+    return jnp.clip(_bounded(config, outputs), -1.0, 1.0)
 
 
 def stages(config: HiqlConfig) -> tuple[Stage, ...]:
@@ -337,22 +349,29 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
         params, optimiser = adam_step(rate, old.params, gradients, old.optimiser)
         return ValueState(params, trail(old.target, params, settings.target_rate), optimiser), metrics
 
-    def actor_update(settings: ActorConfig, old: ActorState, loss, key: jax.Array):
-        dropout_key = jax.random.fold_in(key, 2)  # the sampler splits `key` in two
+    def actor_update(settings: ActorConfig, old: ActorState, loss):
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
-        gradients, metrics = jax.grad(lambda params: loss(params, dropout_key), has_aux=True)(old.params)
+        gradients, metrics = jax.grad(loss, has_aux=True)(old.params)
         return ActorState(*adam_step(rate, old.params, gradients, old.optimiser)), metrics
 
     def update_high(state: HiqlState, data: Data, key: jax.Array):
-        batch = sample_waypoints(data, key, config.high.batch_size, config.subgoal_steps, config.random_goal_fraction)
-        value, scale = state.value.params, state.scale
-        return actor_update(config.high, state.high, lambda p, k: high_loss(config, p, value, scale, batch, k), key)
+        sample_key, dropout_key = jax.random.split(key)
+        settings, value = config.high, state.value.params
+        batch = sample_waypoints(
+            data, sample_key, settings.batch_size, config.subgoal_steps, config.random_goal_fraction
+        )
+        return actor_update(
+            settings, state.high, lambda params: high_loss(config, params, value, state.scale, batch, dropout_key)
+        )
 
     def update_low(state: HiqlState, data: Data, key: jax.Array):
+        sample_key, dropout_key = jax.random.split(key)
+        settings, value = config.low, state.value.params
         # No goal ends the way to s_{t+k} early.
-        batch = sample_waypoints(data, key, config.low.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
-        value, scale = state.value.params, state.scale
-        return actor_update(config.low, state.low, lambda p, k: low_loss(config, p, value, scale, batch, k), key)
+        batch = sample_waypoints(data, sample_key, settings.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
+        return actor_update(
+            settings, state.low, lambda params: low_loss(config, params, value, state.scale, batch, dropout_key)
+        )
 
     return (
         Stage("value", "value", config.value.updates, update_value),
@@ -383,4 +402,4 @@ def act(
     z = propose(config, state.high.params, state.scale, observation, achieved, goal)
     if config.subgoal == "representation":
         z = normalised(z)
-    return control(state.low.params, state.scale, observation, achieved, z), ()
+    return control(config, state.low.params, state.scale, observation, achieved, z), ()

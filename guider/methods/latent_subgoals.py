@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from guider import losses
 from guider.config import check_fraction, check_networks, check_positive
 from guider.errors import GuiderError
 from guider.methods.view import Scale
-from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init
+from guider.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init
 from guider.optimisers import Moments, adam_init, adam_step
 from guider.samplers import Windows
 from guider.training import Metrics
@@ -38,6 +39,7 @@ class LatentSubgoalsConfig:
     """Encode and decode displacements s^G_{t+c} - s^G_t instead of positions (departure from the paper)."""
     error_in_spreads: bool = False
     """Count the squared error in spreads of the data's c-step moves: one beta for all goal units (departure)."""
+    initialisation: Initialisation = "small_outputs"
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -61,11 +63,11 @@ class LatentState(NamedTuple):
 def init(key: jax.Array, config: LatentSubgoalsConfig, goal_dim: int, position_dim: int) -> LatentState:
     """position_dim: entries of a place as the networks see it (Scale.position)."""
     encoder_key, decoder_key, prior_key = jax.random.split(key, 3)
-    latent = config.latent_dim
+    latent, layers = config.latent_dim, partial(mlp_init, initialisation=config.initialisation)
     params = LatentParams(
-        encoder=mlp_init(encoder_key, (position_dim + goal_dim, *config.hidden, 2 * latent)),
-        decoder=mlp_init(decoder_key, (position_dim + latent, *config.hidden, goal_dim)),
-        prior=mlp_init(prior_key, (position_dim, *config.hidden, 2 * latent)),
+        encoder=layers(encoder_key, (position_dim + goal_dim, *config.hidden, 2 * latent)),
+        decoder=layers(decoder_key, (position_dim + latent, *config.hidden, goal_dim)),
+        prior=layers(prior_key, (position_dim, *config.hidden, 2 * latent)),
     )
     return LatentState(params, adam_init(params))
 

@@ -2,8 +2,10 @@
 
 A variational autoencoder of c steps of states and actions finds skills z and learns to carry them out; above it,
 conservative Q-learning chooses among skills instead of actions, here with goals taken in hindsight. There is no public
-code: what the text leaves open is said where it is settled. The authors fit the decoder once more to the z of the
-high level's data; that is the data it was trained on here, and is left out.
+code: what the text leaves open is said where it is settled. Where it differs: the mean of actions is squashed into the
+bounds; networks start as PyTorch's do; the authors fit the decoder once more to the z of the high level's data, which
+is the data it was trained on here, and is left out. Skills act by their mean, and pi_h by its own (Guider's
+`candidates` has no counterpart here).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import jax.numpy as jnp
 from guider import losses
 from guider.config import check_fraction, check_networks, check_positive
 from guider.episodes import Spaces
-from guider.learners.regression import RegressionConfig, most_likely, predict
+from guider.learners.regression import RegressionConfig
 from guider.methods import subgoal_policy
 from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
@@ -33,8 +35,8 @@ class SkillsConfig:
     """Settings of the autoencoder. Defaults are the authors' for antmaze, but for `updates`, which they count in passes
     over their data.
 
-    beta weighs the KL (nats, sum over latent dimensions) against the error of the actions (sum over the
-    window's steps, mean over action dimensions).
+    beta weighs the KL (nats, sum over latent dimensions) against the log-likelihood of the window's actions (nats, sum
+    over steps and action dimensions).
     """
 
     updates: int = 500_000
@@ -66,6 +68,8 @@ class OpalConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     precision: Precision = "float32"
     action_scale: float = 1.0
+    skill_steps: int = 10
+    """c of a skill, the authors'. (c of `problem` only serves `view`.)"""
     relative: bool = False
     """Show goals as displacements from s^G_t instead of positions (departure)."""
     skills: SkillsConfig = field(default_factory=SkillsConfig)
@@ -74,6 +78,7 @@ class OpalConfig:
     alone. `prior=True` holds the policy to rho(z | s) by a tuned KL, as Guider's is (departure)."""
 
     def __post_init__(self) -> None:
+        check_positive(self, "skill_steps")
         check_fraction(self, "action_scale")
 
 
@@ -112,7 +117,7 @@ def init(config: OpalConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> Op
         backward=gru_init(backward_key, entry_dim, settings.encoder_hidden),
         summary=mlp_init(summary_key, (2 * settings.encoder_hidden, 2 * latent)),
         prior=mlp_init(prior_key, (state_dim, *settings.hidden, 2 * latent)),
-        decoder=mlp_init(decoder_key, (state_dim + latent, *settings.hidden, spaces.action_dim)),
+        decoder=mlp_init(decoder_key, (state_dim + latent, *settings.hidden, 2 * spaces.action_dim)),
     )
     high_dim = state_dim + spaces.goal_dim + 4 * config.view.position_waves * spaces.goal_dim
     return OpalState(
@@ -142,7 +147,13 @@ def prior(params: SkillParams, scale: Scale, observation: jax.Array) -> Gaussian
 
 def decode(params: SkillParams, scale: Scale, observation: jax.Array, latent: jax.Array) -> jax.Array:
     """Mean of pi(a | s, z), [..., A] in [-1, 1]."""
-    return most_likely(params.decoder, decoder_inputs(scale, observation, latent))
+    return _actions(params.decoder, decoder_inputs(scale, observation, latent)).mean
+
+
+def _actions(decoder: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> Gaussian:
+    """pi(a | s, z): a mean within the bounds, and a spread of its own everywhere."""
+    mean, log_std = gaussian_head(mlp(decoder, inputs, dropout=dropout, key=key))
+    return Gaussian(jnp.tanh(mean), log_std)
 
 
 def decoder_inputs(scale: Scale, observation: jax.Array, latent: jax.Array) -> jax.Array:
@@ -153,21 +164,22 @@ def decoder_inputs(scale: Scale, observation: jax.Array, latent: jax.Array) -> j
 def skills_loss(
     config: SkillsConfig, params: SkillParams, scale: Scale, window: Trajectories, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
-    """The evidence lower bound negated, mean over the batch: error of the actions + beta * KL(q || rho).
+    """The evidence lower bound negated, mean over the batch: -log pi of the actions + beta * KL(q || rho).
 
-    The decoder is a Gaussian of fixed spread, or as `regression` says: -log pi is the squared error, mean over action
-    dimensions, summed over the window's steps within the episode. The KL is summed over latent dimensions, in nats.
+    The decoder is a Gaussian of learned mean and spread (or a Laplace distribution, see `regression`); -log pi is
+    summed over action dimensions and the window's steps within the episode, the KL over latent dimensions, all in nats.
     """
     sample_key, dropout_key = jax.random.split(key)
     posterior = encode(config, params, scale, window)
     latent = jnp.repeat(posterior.sample(sample_key)[:, None], window.valid.shape[1], axis=1)
     seen = decoder_inputs(scale, window.observations, latent)
-    predicted = predict(config.regression, params.decoder, seen, dropout_key)
-    counted = window.valid.astype(predicted.dtype)
-    error = losses.weighted_regression(counted, predicted, window.actions, config.regression.error).sum(axis=-1)
+    policy = _actions(params.decoder, seen, config.regression.dropout, dropout_key)
+    surprise = losses.surprise(policy, window.actions, config.regression.error)
+    missing = jnp.where(window.valid, surprise, 0.0).sum(axis=-1)
     kl = losses.gaussian_kl(posterior, prior(params, scale, window.observations[:, 0])).sum(axis=-1)
-    metrics = {"action_error": error.sum() / window.valid.sum(), "kl": kl.mean()}
-    return (error + config.beta * kl).mean(), metrics
+    squared = jnp.where(window.valid, ((policy.mean - window.actions) ** 2).mean(axis=-1), 0.0)
+    metrics = {"action_error": squared.sum() / window.valid.sum(), "surprise": missing.mean(), "kl": kl.mean()}
+    return (missing + config.beta * kl).mean(), metrics
 
 
 def high_inputs(
@@ -188,17 +200,18 @@ def relabel(config: OpalConfig, state: OpalState, batch: SkillBatch, key: jax.Ar
         reward=losses.goal_reward(batch.later, batch.goal, problem.radius, problem.goal_parts),
         next_state=high_inputs(config, scale, batch.later_observation, batch.later, batch.goal),
         prior=prior(params, scale, observation),
+        next_prior=prior(params, scale, batch.later_observation),
     )
 
 
 def stages(config: OpalConfig) -> tuple[Stage, ...]:
     """Skills, then the policy over them."""
-    period_steps = config.problem.period_steps
+    skill_steps = config.skill_steps
 
     def update_skills(state: OpalState, data: Data, key: jax.Array):
         sample_key, update_key = jax.random.split(key)
         settings, old = config.skills, state.skills
-        window = sample_trajectories(data, sample_key, settings.batch_size, period_steps)
+        window = sample_trajectories(data, sample_key, settings.batch_size, skill_steps)
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
         gradients, metrics = jax.grad(
             lambda params: skills_loss(settings, params, state.scale, window, update_key), has_aux=True
@@ -212,7 +225,7 @@ def stages(config: OpalConfig) -> tuple[Stage, ...]:
             data,
             sample_key,
             settings.batch_size,
-            period_steps,
+            skill_steps,
             settings.goal_offset,
             settings.relabel_fraction,
             settings.random_goal_fraction,
@@ -256,5 +269,5 @@ def act(
         state.high.params, high_inputs(config, state.scale, observation, achieved, goal)
     ).mean
     latent = jnp.where(renew[:, None], chosen, acting.latent)
-    steps_left = jnp.where(renew, config.problem.period_steps, acting.steps_left) - 1
+    steps_left = jnp.where(renew, config.skill_steps, acting.steps_left) - 1
     return decode(state.skills.params, state.scale, observation, latent), ActingState(latent, steps_left)

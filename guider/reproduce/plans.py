@@ -29,6 +29,7 @@ LABELS = {
     "bc": "BC",
     "iql": "IQL",
     "hiql": "HIQL",
+    "hiql-places": "HIQL on places",
     "guider": "Guider",
     "guider-gcsl": "Guider + GCSL",
     "guider-wgcsl": "Guider + WGCSL",

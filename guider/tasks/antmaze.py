@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -117,12 +118,13 @@ def make_recording_env(maze: Maze, cells: np.ndarray, offset_m: tuple[float, flo
 def diverse(maze: Maze) -> Recipe:
     """D4RL's generator of `diverse` sets, with our walker in the place of its policy: from cells without a goal towards
     one goal in a cell that has one, 1001 rows, with noise on actions and waypoints; an ant that arrives early stays
-    about its goal. Its guide takes a cell to begin at its centre, ours half a cell before."""
+    about its goal."""
     goal_cells = np.array(RECORDED_GOAL_CELLS[maze.name])
     has_goal = np.zeros_like(maze.walls)
     has_goal[tuple(goal_cells.T)] = True
     start_cells = np.argwhere(~maze.walls & ~has_goal)
-    return _recipe(maze, start_cells, RECORDED_START_OFFSET_M, goal_cells, 1001)
+    recipe = _recipe(maze, start_cells, RECORDED_START_OFFSET_M, goal_cells, 1001)
+    return replace(recipe, centre_to_centre=True)
 
 
 def everywhere(maze: Maze) -> Recipe:

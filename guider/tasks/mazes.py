@@ -129,12 +129,12 @@ class Maze:
                     frontier.append(neighbour)
         return distances
 
-    def next_cells_to(self, cell: Cell) -> np.ndarray:
+    def next_cells_to(self, cell: Cell, across_walls: bool = False) -> np.ndarray:
         """[rows, columns, 2] int: the cell to enter next on a shortest way to `cell`.
 
-        `cell` leads to itself, and a wall to the free cell closest to it (a robot leaning over the edge).
-        Free cells from which there is no way lead to themselves. Ties go to the first of right, left, down
-        (y grows), up.
+        `cell` leads to itself, and a wall to the free cell closest to it (a robot leaning over the edge) or, with
+        `across_walls`, to the one of them nearest to `cell`, on whichever side. Free cells from which there is no way
+        lead to themselves. Ties go to the first of right, left, down (y grows), up; for walls, row by row.
         """
         distances = self.distances_to(cell)
         following = np.moveaxis(np.indices(self.walls.shape), 0, -1)
@@ -144,7 +144,9 @@ class Maze:
                 nearer = (n for n in _neighbours(here) if distances[n] == distances[here] - 1)
                 following[here] = next(nearer)
         for wall in np.argwhere(self.walls):
-            following[tuple(wall)] = self.free_cells[np.argmin(np.abs(self.free_cells - wall).sum(axis=1))]
+            apart = np.abs(self.free_cells - wall).sum(axis=1)
+            further = distances[tuple(self.free_cells.T)] / distances.size if across_walls else 0.0
+            following[tuple(wall)] = self.free_cells[np.argmin(apart + further)]
         return following
 
     @property

@@ -1,0 +1,459 @@
+"""One update of every stage and learner against its published description, written anew in NumPy (tests/reference.py).
+
+All in float64: what agrees does so to 1e-5 and better. Targets are shaken first, so that they differ from what learns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference as ref
+from scipy.special import logsumexp
+
+from guider.learners import (
+    AwrConfig,
+    CqlConfig,
+    GcslConfig,
+    IqlConfig,
+    LearnerConfig,
+    Transitions,
+    WgcslConfig,
+    awr,
+    cql,
+    gcsl,
+    iql,
+    wgcsl,
+)
+from guider.learners.regression import RegressionConfig
+from guider.methods import latent_subgoals, subgoal_policy
+from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.subgoal_policy import SubgoalPolicyConfig
+from guider.methods.view import Scale
+from guider.networks import Gaussian
+from guider.samplers import Windows
+
+RATE = 1e-2
+ROWS, INPUTS, ACTIONS = 6, 3, 2
+HIDDEN = (4,)
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def normal(key: int, *shape: int) -> jax.Array:
+    return jax.random.normal(jax.random.key(key), shape)
+
+
+def shaken(tree: Any, key: int = 9) -> Any:
+    """The same with 0.3 N(0, 1) added everywhere."""
+    leaves, structure = jax.tree.flatten(tree)
+    keys = jax.random.split(jax.random.key(key), len(leaves))
+    moved = [leaf + 0.3 * jax.random.normal(k, leaf.shape) for leaf, k in zip(leaves, keys, strict=True)]
+    return jax.tree.unflatten(structure, moved)
+
+
+def plain(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: np.array(leaf), tree)
+
+
+# The latent model (Eq. 2-3)
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.4])
+def test_latent_model(dropout):
+    """-log p is the squared error in goal units, mean over dimensions, as is the KL, whose gradient Eq. 3 splits."""
+    config = LatentSubgoalsConfig(hidden=HIDDEN, beta=0.3, kl_balance=0.7, decoder_dropout=dropout, learning_rate=RATE)
+    one = jnp.ones(2)
+    scale = Scale(one, one, 0 * one, one, 3 * one, jnp.zeros(0))
+    state = latent_subgoals.init(jax.random.key(0), config, 2, 2)
+    state = state._replace(params=shaken(state.params))
+    batch = Windows(normal(1, ROWS, 2), normal(2, ROWS, 2))
+    key = jax.random.key(3)
+    after, metrics = latent_subgoals.update(config, state, scale, batch, key)
+
+    sample_key, dropout_key = jax.random.split(key)
+    noise = np.asarray(jax.random.normal(sample_key, (ROWS, 2)))
+    kept = np.asarray(jax.random.bernoulli(jax.random.fold_in(dropout_key, 0), 1 - dropout, (ROWS, *HIDDEN)))
+    now, later = np.asarray(batch.achieved), np.asarray(batch.later)
+    frozen = plain(state.params)
+
+    def posterior(params):
+        return ref.gaussian(ref.mlp(params.encoder, np.concatenate([now, later], -1), ref.gelu))
+
+    def loss(params):
+        mean, std = posterior(params)
+        prior = ref.gaussian(ref.mlp(params.prior, now))
+        (weights, biases), last = params.decoder
+        hidden = ref.gelu(np.concatenate([now, mean + std * noise], -1) @ weights + biases)
+        decoded = np.where(kept, hidden / (1 - dropout), 0.0) @ last[0] + last[1]
+        balanced = 0.7 * ref.kl(*posterior(frozen), *prior) + 0.3 * ref.kl(
+            mean, std, *ref.gaussian(ref.mlp(frozen.prior, now))
+        )
+        return (((decoded - later) ** 2).mean(-1) + 0.3 * balanced.mean(-1)).mean()
+
+    ref.check_first_step(state, after, loss, RATE)
+    assert float(metrics["loss"]) == pytest.approx(loss(frozen), rel=1e-9)
+
+
+# The high level (Eq. 4)
+
+
+class High:
+    """A state, a batch and the noise of one update of the high level, and what its losses are made of."""
+
+    def __init__(self, **settings):
+        self.config = SubgoalPolicyConfig(**{"hidden": HIDDEN, "learning_rate": RATE, "samples": 3} | settings)
+        state = subgoal_policy.init(jax.random.key(0), self.config, INPUTS, 2)
+        params = shaken(state.params)._replace(log_alpha=jnp.asarray(0.4), log_lagrange=jnp.asarray(-0.3))
+        self.state = state._replace(params=params, target_critic=shaken(params.critic, 8))
+        self.batch = subgoal_policy.Transitions(
+            state=normal(1, ROWS, INPUTS),
+            latent=normal(2, ROWS, 2),
+            reward=jnp.array([-1.0, 0, -1, -1, -2, -1]),
+            next_state=normal(3, ROWS, INPUTS),
+            prior=Gaussian(normal(4, ROWS, 2), 0.3 * normal(5, ROWS, 2)),
+            next_prior=Gaussian(normal(6, ROWS, 2), 0.3 * normal(7, ROWS, 2)),
+        )
+        self.old, self.b = plain(self.state.params), plain(self.batch)
+        self.target = plain(self.state.target_critic)
+        key = jax.random.key(11)
+        self.critic_key, self.actor_key = jax.random.split(key)
+        self.after, self.metrics = subgoal_policy.update(self.config, self.state, self.batch, key)
+
+    def policy(self, params, state):
+        return ref.gaussian(ref.mlp(params.actor, state))
+
+    def held_by(self, policy, prior: Gaussian, latent):
+        mean, std = policy
+        if self.config.prior:
+            return ref.kl(mean, std, prior.mean, np.exp(prior.log_std)).mean(-1)
+        return ref.log_density(mean, std, latent)
+
+    def actor_loss(self, params) -> float:
+        b, config = self.b, self.config
+        policy = self.policy(params, b.state)
+        latent = policy[0] + policy[1] * np.asarray(jax.random.normal(self.actor_key, (ROWS, 2)))
+        held = self.held_by(policy, b.prior, latent)
+        actor = (np.exp(self.old.log_alpha) * held - ref.q(self.old.critic, b.state, latent).min(0)).mean()
+        old_policy = self.policy(self.old, b.state)
+        old_latent = old_policy[0] + old_policy[1] * np.asarray(jax.random.normal(self.actor_key, (ROWS, 2)))
+        excess = self.held_by(old_policy, b.prior, old_latent).mean() - (
+            config.target_divergence if config.prior else 2
+        )
+        tuned = np.exp(params.log_alpha) if config.temperature_loss == "alpha" else params.log_alpha
+        return actor - tuned * excess
+
+    def check(self, critic_loss) -> None:
+        ref.check_first_step(self.state, self.after, lambda params: critic_loss(params) + self.actor_loss(params), RATE)
+        ref.check_trails(self.state.target_critic, self.after.params.critic, self.after.target_critic, 0.005)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"lagrange_threshold": 2.5},
+        {"lagrange_threshold": 2.5, "prior": False, "temperature_loss": "log_alpha"},
+        {"lagrange_threshold": None, "conservative_weight": 0.7, "backup": "max_of_min", "uniform_box": "per_entry"},
+        {"lagrange_threshold": 2.5, "cap_targets": True},
+    ],
+    ids=["paper", "without prior", "fast", "capped"],
+)
+def test_high_level_with_cql(settings):
+    """Kumar et al. 2020: max-Q backup, CQL(H) over three proposals, and the Lagrange multiplier of its threshold."""
+    high = High(**settings)
+    config, b = high.config, high.b
+    next_key, now_key, uniform_key = jax.random.split(high.critic_key, 3)
+    shape = (config.samples, ROWS, 2)
+
+    def samples(state, key):
+        mean, std = high.policy(high.old, state)
+        drawn = mean + std * np.asarray(jax.random.normal(key, shape))
+        return drawn.swapaxes(0, 1), ref.log_density(mean, std, drawn).T
+
+    next_latents, next_log_density = samples(b.next_state, next_key)
+    now_latents, now_log_density = samples(b.state, now_key)
+    if config.uniform_box == "common":
+        low, high_end = np.full(2, b.latent.min()), np.full(2, b.latent.max())
+    else:
+        low, high_end = b.latent.min(axis=0), b.latent.max(axis=0)
+    uniform = low + (high_end - low) * np.asarray(jax.random.uniform(uniform_key, now_latents.shape))
+    uniform_log_density = np.full((ROWS, config.samples), -np.log((high_end - low)[0] * (high_end - low)[1]))
+
+    backed_up = ref.q_of_samples(high.target, b.next_state, next_latents)
+    value = backed_up.max(-1).min(0) if config.backup == "min_of_max" else backed_up.min(0).max(-1)
+    target = ref.td(b.reward, value, config.discount)
+    if config.cap_targets:
+        assert target.max() > 0, "else capping them shows nothing"
+        target = np.minimum(target, 0.0)
+
+    def gaps(params):
+        sampled = [
+            ref.q_of_samples(params.critic, b.state, latents) - density
+            for latents, density in (
+                (uniform, uniform_log_density),
+                (next_latents, next_log_density),
+                (now_latents, now_log_density),
+            )
+        ]
+        data = ref.q(params.critic, b.state, b.latent)
+        return (logsumexp(np.concatenate(sampled, -1), axis=-1) - data).mean(-1)
+
+    old_gaps = gaps(high.old)
+
+    def critic_loss(params):
+        error = ((ref.q(params.critic, b.state, b.latent) - target) ** 2).mean(-1).sum()
+        if config.lagrange_threshold is None:
+            return error + config.conservative_weight * gaps(params).sum()
+        multiplier = -np.exp(params.log_lagrange) * (old_gaps - config.lagrange_threshold).mean()
+        return error + np.exp(high.old.log_lagrange) * gaps(params).sum() + multiplier
+
+    high.check(critic_loss)
+    assert float(high.metrics["conservative_gap"]) == pytest.approx(old_gaps.mean(), rel=1e-9)
+    assert float(high.metrics["target"]) == pytest.approx(target.mean(), rel=1e-9)
+
+
+@pytest.mark.parametrize("prior", [True, False])
+def test_high_level_without_cql_is_soft_actor_critic(prior):
+    """Haarnoja et al. 2018: one sample is backed up, less alpha times what the actor is held by there."""
+    high = High(critic="td", prior=prior)
+    b = high.b
+    mean, std = high.policy(high.old, b.next_state)
+    latent = mean + std * np.asarray(jax.random.normal(high.critic_key, (ROWS, 2)))
+    held = high.held_by((mean, std), b.next_prior, latent)
+    value = ref.q(high.target, b.next_state, latent).min(0) - np.exp(high.old.log_alpha) * held
+    target = ref.td(b.reward, value, 0.99)
+    high.check(lambda params: ((ref.q(params.critic, b.state, b.latent) - target) ** 2).mean(-1).sum())
+
+
+def test_high_level_with_expectiles():
+    """Kostrikov et al. 2022: V leans to the upper side of Q over logged latents."""
+    high = High(critic="expectile", expectile=0.8)
+    b = high.b
+    target = ref.td(b.reward, ref.mlp(high.old.value, b.next_state)[:, 0], 0.99)
+    logged = ref.q(high.target, b.state, b.latent).min(0)
+
+    def critic_loss(params):
+        error = logged - ref.mlp(params.value, b.state)[:, 0]
+        expectile = np.array([(0.8 if e > 0 else 0.2) * e**2 for e in error]).mean()
+        return ((ref.q(params.critic, b.state, b.latent) - target) ** 2).mean(-1).sum() + expectile
+
+    high.check(critic_loss)
+
+
+# Low levels and flat methods
+
+
+class Learned:
+    """A state, a batch and the noise of one update of a learner."""
+
+    def __init__(self, module, config: LearnerConfig):
+        self.config: Any = config
+        state = module.init(jax.random.key(0), config, HIDDEN, INPUTS, ACTIONS)
+        state = state._replace(params=shaken(state.params))
+        if hasattr(state, "target_critic"):
+            state = state._replace(target_critic=shaken(state.params.critic, 8))
+        if hasattr(state, "target"):
+            state = state._replace(target=shaken(state.params, 8))
+        self.state = state
+        self.batch = Transitions(
+            state=2 * normal(1, ROWS, INPUTS),
+            action=jnp.tanh(normal(2, ROWS, ACTIONS)),
+            reward=jnp.array([-1.0, 0, -1, -1, 0, -1]),
+            next_state=2 * normal(3, ROWS, INPUTS),
+            steps=jnp.array([3, 1, 7, -1, 2, 4]),
+        )
+        self.b, self.old = plain(self.batch), plain(state.params)
+        self.key = jax.random.key(5)
+        self.after, self.metrics = module.update(config, state, self.batch, self.key, RATE)
+
+    def check(self, loss) -> None:
+        ref.check_first_step(self.state, self.after, loss, RATE)
+
+    def check_critic_trails(self) -> None:
+        ref.check_trails(
+            self.state.target_critic, self.after.params.critic, self.after.target_critic, self.config.target_rate
+        )
+
+    def regression(self, weight, predicted) -> float:
+        """Mean over rows and dimensions of the weighted squared error to the logged action."""
+        return (weight[:, None] * (predicted - self.b.action) ** 2).mean()
+
+    def td_error(self, params, target) -> float:
+        return ((ref.q(params.critic, self.b.state, self.b.action) - target) ** 2).mean(-1).sum()
+
+
+def test_awr_as_in_paper():
+    """Eq. 6 as the authors have it: samples of a Gaussian are regressed, A looks one step ahead, by critic 1."""
+    learned = Learned(awr, AwrConfig(temperature=0.8, weight_ceiling=1.1))
+    b, old, target_critic = learned.b, learned.old, plain(learned.state.target_critic)
+    count = len(old.actor)
+    ahead_key = jax.random.fold_in(jax.random.fold_in(learned.key, count + 1), count)
+    next_noise = np.asarray(jax.random.normal(ahead_key, (ROWS, ACTIONS)))
+    noise = np.asarray(jax.random.normal(jax.random.fold_in(learned.key, count), (ROWS, ACTIONS)))
+
+    def action(params, state, noise):
+        mean, std = ref.gaussian(ref.mlp(params.actor, state))
+        return mean + std * noise
+
+    next_action, here = action(old, b.next_state, next_noise), action(old, b.state, noise)
+    target = ref.td(b.reward, ref.q(target_critic, b.next_state, next_action).min(0), 0.99)
+    ahead = ref.td(b.reward, ref.q(old.critic, b.next_state, next_action)[0], 0.99)
+    advantage = ahead - ref.q(old.critic, b.state, here)[0]
+    weight = np.clip(np.exp(advantage / 0.8), 0, 1.1)
+    assert weight.min() < 1 < weight.max() == 1.1
+    learned.check(
+        lambda params: learned.td_error(params, target) + learned.regression(weight, action(params, b.state, noise))
+    )
+    learned.check_critic_trails()
+    mean = np.clip(ref.gaussian(ref.mlp(old.actor, b.state))[0], -1, 1)
+    np.testing.assert_allclose(awr.act(learned.config, learned.state, learned.batch.state), mean, rtol=1e-9)
+
+
+@pytest.mark.parametrize("error", ["squared", "absolute"])
+def test_awr_as_in_fast(error):
+    """A = min Q(s, a) - min Q(s, pi(s)) of a squashed policy without spread."""
+    config = AwrConfig(advantage="action_value", policy="tanh", temperature=0.2, regression=RegressionConfig(error))
+    learned = Learned(awr, config)
+    b, old, target_critic = learned.b, learned.old, plain(learned.state.target_critic)
+    next_value = ref.q(target_critic, b.next_state, np.tanh(ref.mlp(old.actor, b.next_state))).min(0)
+    target = ref.td(b.reward, next_value, 0.99)
+    baseline = ref.q(old.critic, b.state, np.tanh(ref.mlp(old.actor, b.state))).min(0)
+    weight = np.clip(np.exp((ref.q(old.critic, b.state, b.action).min(0) - baseline) / 0.2), 0, 10)
+    assert weight.min() < 0.9 and weight.max() > 1.1
+
+    def loss(params):
+        misses = np.tanh(ref.mlp(params.actor, b.state)) - b.action
+        counted = misses**2 if error == "squared" else np.abs(misses)
+        return learned.td_error(params, target) + (weight[:, None] * counted).mean()
+
+    learned.check(loss)
+    learned.check_critic_trails()
+
+
+def test_gcsl():
+    learned = Learned(gcsl, GcslConfig())
+    learned.check(lambda params: learned.regression(np.ones(ROWS), np.tanh(ref.mlp(params, learned.b.state))))
+
+
+def test_iql():
+    learned = Learned(iql, IqlConfig(expectile=0.8, temperature=0.5, weight_ceiling=1.5, discount=0.9))
+    b, old = learned.b, learned.old
+    target = ref.td(b.reward, ref.mlp(old.value, b.next_state)[:, 0], 0.9)
+    logged = ref.q(plain(learned.state.target_critic), b.state, b.action).min(0)
+    weight = np.clip(np.exp((logged - ref.mlp(old.value, b.state)[:, 0]) / 0.5), 0, 1.5)
+    assert weight.min() < 1 and weight.max() == 1.5
+
+    def loss(params):
+        error = logged - ref.mlp(params.value, b.state)[:, 0]
+        expectile = np.array([(0.8 if e > 0 else 0.2) * e**2 for e in error]).mean()
+        predicted = np.tanh(ref.mlp(params.actor, b.state))
+        return learned.td_error(params, target) + expectile + learned.regression(weight, predicted)
+
+    learned.check(loss)
+    learned.check_critic_trails()
+
+
+@pytest.mark.parametrize("twins", [False, True])
+def test_wgcsl(twins):
+    """Yang et al. 2022: gamma^(k-1), exp(A) and the best-advantage weight, whose percentile is here 0, then 50."""
+    config = WgcslConfig(twins=twins, discount=0.6, input_limit=1.5, recent_advantages=10, percentile_rise=50.0)
+    learned = Learned(wgcsl, config)
+    state = learned.state._replace(optimiser=learned.state.optimiser._replace(count=jnp.asarray(1, jnp.int32)))
+    _, metrics = wgcsl.update(config, state, learned.batch, learned.key, RATE)
+    b, old, trailing = learned.b, learned.old, plain(learned.state.target)
+    seen, next_seen = np.clip(b.state, -1.5, 1.5), np.clip(b.next_state, -1.5, 1.5)
+    reward = np.array([0.0, 1, 0, 0, 1, 0])
+
+    def value(params, inputs):
+        return ref.q(params.critic, inputs, np.tanh(ref.mlp(params.actor, inputs))).min(0)
+
+    target = np.clip(reward + 0.6 * value(trailing, next_seen), -2.5, 2.5)
+    advantage = reward + 0.6 * value(old, next_seen) - value(old, seen)
+    weight = 0.6 ** np.array([2, 0, 6, 0, 1, 3]) * np.clip(np.exp(advantage), 0, 10)
+    weight[3] = 0.0  # its goal lies elsewhere
+
+    def loss(params):
+        error = ((ref.q(params.critic, seen, b.action) - target) ** 2).mean(-1).sum()
+        return error + learned.regression(weight, np.tanh(ref.mlp(params.actor, seen)))
+
+    learned.check(loss)  # of the first update, whose percentile is 0: no advantage is poor
+    ref.check_trails(learned.state.target, learned.after.params, learned.after.target, config.target_rate)
+    poor = np.where(advantage >= np.percentile(advantage, 50), 1.0, 0.05)
+    assert float(metrics["weight"]) == pytest.approx((weight * poor).mean(), rel=1e-9)
+    np.testing.assert_allclose(learned.after.recent[:ROWS], advantage, rtol=1e-9)
+
+
+def test_cql():
+    """Kumar et al. 2020 on a squashed Gaussian, whose densities change with tanh; alpha aims at an entropy of -A."""
+    config = CqlConfig(samples=3, conservative_weight=0.7, cloning_weight=0.3, discount=0.9)
+    learned = Learned(cql, config)
+    learned = _with_alpha(learned, 0.4)
+    b, old = learned.b, learned.old
+    uniform_key, next_key, now_key, actor_key = jax.random.split(learned.key, 4)
+
+    def squashed(params, state, noise):
+        mean, std = ref.gaussian(ref.mlp(params.actor, state))
+        raw = mean + std * noise
+        return np.tanh(raw), ref.log_density(mean, std, raw) - np.log(1 - np.tanh(raw) ** 2).sum(-1)
+
+    def samples(state, key):
+        actions, density = squashed(old, state, np.asarray(jax.random.normal(key, (3, ROWS, ACTIONS))))
+        return actions.swapaxes(0, 1), density.T
+
+    next_actions, next_density = samples(b.next_state, next_key)
+    now_actions, now_density = samples(b.state, now_key)
+    uniform = np.asarray(jax.random.uniform(uniform_key, now_actions.shape, minval=-1.0, maxval=1.0))
+    backed_up = ref.q_of_samples(plain(learned.state.target_critic), b.next_state, next_actions).min(0).max(-1)
+    target = ref.td(b.reward, backed_up, 0.9)
+    noise = np.asarray(jax.random.normal(actor_key, (1, ROWS, ACTIONS)))[0]
+    old_entropy = squashed(old, b.state, noise)[1].mean()
+
+    def loss(params):
+        weighted = [
+            ref.q_of_samples(params.critic, b.state, actions) - density
+            for actions, density in (
+                (uniform, np.full((ROWS, 3), -np.log(4.0))),
+                (next_actions, next_density),
+                (now_actions, now_density),
+            )
+        ]
+        data = ref.q(params.critic, b.state, b.action)
+        gap = (logsumexp(np.concatenate(weighted, -1), axis=-1) - data).mean(-1).sum()
+        action, density = squashed(params, b.state, noise)
+        actor = (np.exp(old.log_alpha) * density - ref.q(old.critic, b.state, action).min(0)).mean()
+        alpha = -params.log_alpha * (old_entropy - ACTIONS)
+        cloned = ((np.tanh(ref.gaussian(ref.mlp(params.actor, b.state))[0]) - b.action) ** 2).mean()
+        return learned.td_error(params, target) + 0.7 * gap + actor + alpha + 0.3 * cloned
+
+    learned.check(loss)
+    learned.check_critic_trails()
+
+
+def _with_alpha(learned: Learned, log_alpha: float) -> Learned:
+    learned.state = learned.state._replace(params=learned.state.params._replace(log_alpha=jnp.asarray(log_alpha)))
+    learned.old = plain(learned.state.params)
+    learned.after, learned.metrics = cql.update(learned.config, learned.state, learned.batch, learned.key, RATE)
+    return learned
+
+
+@pytest.mark.parametrize("config", [AwrConfig(), replace(AwrConfig(), initialisation="fan_in")])
+def test_initialisation(config):
+    """The authors': hidden weights in +-1/sqrt(outputs), hidden biases 0.1, last layer in +-0.001; else PyTorch's."""
+    state = awr.init(jax.random.key(0), config, (64, 16), 100, 3)
+    ours = config.initialisation == "small_outputs"
+    for layers, fan_in in ((state.params.actor, 100), (state.params.critic, 103)):
+        bounds = [(64**-0.5, 0.1), (16**-0.5, 0.1), (1e-3, 1e-3)]
+        if not ours:
+            bounds = [(n**-0.5, n**-0.5) for n in (fan_in, 64, 16)]
+        for (weights, biases), (of_weights, of_biases) in zip(layers, bounds, strict=True):
+            assert 0.9 * of_weights < float(jnp.abs(weights).max()) <= of_weights
+            assert 0.5 * of_biases < float(jnp.abs(biases).max()) <= of_biases
+    assert bool(jnp.all(state.params.actor[0][1] == 0.1)) == ours
