@@ -1,4 +1,4 @@
-"""Break a copy of the package, one mutation at a time, and run the tests that are to notice. The checkout is not touched.
+"""Break a copy of the package, one mutation at a time, and run the tests that are to notice it. Nothing here is touched.
 
 Exits with 1 where a mutation survives, or cannot be judged: its text is not in the file exactly once, or its tests fail
 without it, cannot be run with it, or do not end.
@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,55 +22,52 @@ from queue import SimpleQueue
 from mutants.table import MUTATIONS, Mutation
 
 ROOT = Path(__file__).parent.parent
-COPIED = ("guider", "tests", "pyproject.toml")
 LIMIT_SECONDS = 300
 OUTCOMES = {0: "survived", 1: "killed"}
-"""By pytest's exit status; others say that it could not do its work."""
+"""By pytest's exit status; another says that it could not do its work."""
 
 
-def stale(mutation: Mutation, root: Path = ROOT) -> bool:
+def stale(mutation: Mutation) -> bool:
     """Whether the text to replace does not stand exactly once in its file."""
-    return (root / mutation.file).read_text().count(mutation.old) != 1
+    return (ROOT / mutation.file).read_text().count(mutation.old) != 1
 
 
 def copy(folder: Path) -> Path:
     """A copy of the package and its tests, in a folder that is made."""
-    folder.mkdir()
-    for name in COPIED:
-        if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-        else:
-            shutil.copy(ROOT / name, folder)
+    for name in ("guider", "tests"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
 
 
-def run(tests: list[str], folder: Path, *options: str) -> tuple[str, str]:
-    """(outcome, output) of tests in a copy. No bytecode is kept: it is told apart by size and second alone."""
+def run(tests: Sequence[str], folder: Path, *options: str) -> tuple[str, str]:
+    """(outcome, pytest's output) of tests in a copy."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", *options]
-    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    own = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}  # bytecode is told apart by size and second alone
     try:
         done = subprocess.run(
             [*command, *(f"tests/{test}" for test in tests)],
             cwd=folder,
-            env=environment,
+            env=os.environ | own,
             capture_output=True,
             text=True,
-            timeout=None if options else LIMIT_SECONDS,
+            timeout=len(tests) * LIMIT_SECONDS,
         )
     except subprocess.TimeoutExpired:
         return "did not end", ""
     return OUTCOMES.get(done.returncode, "could not be tested"), done.stdout + done.stderr
 
 
-def try_out(mutation: Mutation, folder: Path) -> tuple[str, str]:
-    """(outcome, output) of the mutation's tests in a copy, which is whole again afterwards."""
+def try_out(mutation: Mutation, folder: Path) -> str:
+    """The outcome of the mutation's tests in a copy, which is whole again afterwards."""
     path = folder / mutation.file
     whole = path.read_text()
     path.write_text(whole.replace(mutation.old, mutation.new))
-    try:
-        return run(mutation.tests.split(), folder)
-    finally:
-        path.write_text(whole)
+    outcome, output = run(mutation.tests.split(), folder)
+    path.write_text(whole)
+    notice = [line.removeprefix("FAILED tests/") for line in output.splitlines() if line.startswith("FAILED")]
+    print(f"{outcome}: {mutation}", *(notice if outcome in OUTCOMES.values() else [output]), sep="\n    ", flush=True)
+    return outcome
 
 
 def main() -> int:
@@ -79,37 +77,33 @@ def main() -> int:
     asked = parser.parse_args()
     chosen = [m for m in MUTATIONS if not asked.only or any(part in m.file for part in asked.only)]
     if rotten := [m for m in chosen if stale(m)]:
-        print("to be replaced, but not there exactly once:", *rotten, sep="\n  ")
+        print("to be replaced, but not there exactly once:", *rotten, sep="\n    ")
         return 1
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="guider-mutants-") as root:
-        folders: SimpleQueue[Path] = SimpleQueue()
-        for number in range(asked.workers):
-            folders.put(copy(Path(root, str(number))))
-        whole = folders.get()
-        outcome, output = run(
-            sorted({test for m in chosen for test in m.tests.split()}), whole, f"--numprocesses={asked.workers}"
-        )
-        folders.put(whole)
+        copies = [copy(Path(root, str(number))) for number in range(asked.workers)]
+        tests = sorted({test for mutation in chosen for test in mutation.tests.split()})
+        outcome, output = run(tests, copies[0], f"--numprocesses={asked.workers}")
         if outcome != "survived":
-            print(f"the tests fail without a mutation:\n{output}")
+            print(f"without a mutation, the tests: {outcome}\n{output}")
             return 1
+        free: SimpleQueue[Path] = SimpleQueue()
 
         def judge(mutation: Mutation) -> str:
-            folder = folders.get()
-            outcome, output = try_out(mutation, folder)
-            folders.put(folder)
-            print(f"{outcome}: {mutation}" + ("" if outcome in OUTCOMES.values() else f"\n{output}"), flush=True)
+            folder = free.get()
+            outcome = try_out(mutation, folder)
+            free.put(folder)
             return outcome
 
+        for folder in copies:
+            free.put(folder)
         with ThreadPoolExecutor(asked.workers) as pool:
             outcomes = list(pool.map(judge, chosen))
     tally = ", ".join(f"{count} {outcome}" for outcome, count in Counter(outcomes).items())
     print(f"{len(chosen)} mutations: {tally}; {(time.monotonic() - began) / 60:.0f} minutes")
-    for outcome, mutation in zip(outcomes, chosen, strict=True):
-        if outcome != "killed":
-            print(f"{outcome}: {mutation} (by {mutation.tests})")
-    return int(any(outcome != "killed" for outcome in outcomes))
+    lived = [(o, m) for o, m in zip(outcomes, chosen, strict=True) if o != "killed"]
+    print(*(f"{outcome}: {mutation} ({mutation.tests})" for outcome, mutation in lived), sep="\n")
+    return int(bool(lived))
 
 
 if __name__ == "__main__":

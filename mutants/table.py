@@ -26,6 +26,10 @@ _PROTOCOL = "test_reproduce.py::test_the_protocol_is_stated"
 _CROSSES = "test_samplers.py::test_no_sample_crosses_an_episode"
 _FLAT_GOALS = "test_learners.py::test_flat_goals_come_from_ahead_in_their_own_episode"
 
+_SHARES = "test_hiql.py::test_value_goals_come_in_their_shares_and_geometric"
+_STRETCH = "test_hiql.py::test_value_stretches_stay_in_their_episode"
+_WAY = "test_hiql.py::test_waypoints_lie_k_steps_ahead_or_at_a_nearer_goal"
+_WINDOWS = "test_opal.py::test_windows_stay_in_their_episode"
 _SPEED = "test_pointmaze.py::test_ball_speeds_up_and_slows_down_as_its_mass_and_damping_say"
 _SEEDED = "test_pointmaze.py::test_a_copy_is_determined_by_its_seed_alone"
 _STAY = "test_pointmaze.py::test_inactive_copies_stay_as_they_are_and_do_not_disturb_the_others"
@@ -118,13 +122,13 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("subgoal_steps=subgoal_rows - rows", "subgoal_steps=last - rows", "test_samplers.py"),
         ("        rows + 1,\n        data.last_row", "        rows,\n        data.last_row", _FLAT_GOALS),
         ("steps=jnp.where(goal_rows < 0, -1, goal_rows - rows)", "steps=goal_rows - rows", "test_learners.py"),
-        ("random_goal_fraction / others if", "random_goal_fraction if", "test_hiql.py"),
-        ("(batch_size,)) < current_goal_fraction", "(batch_size,)) > current_goal_fraction", "test_hiql.py"),
-        ("valid=rows < last[:, None]", "valid=rows <= last[:, None]", "test_hiql.py"),
-        ("ends = jnp.minimum(starts + stretch_steps, last)", "ends = starts + stretch_steps", "test_hiql.py"),
-        ("jnp.where(goal_rows < 0, last, goal_rows))", "last)", "test_hiql.py"),
-        ("data.actions[inside], rows < last)", "data.actions[inside], rows <= last)", "test_opal.py"),
-        ("inside = jnp.minimum(rows, last)", "inside = rows", "test_opal.py"),
+        ("random_goal_fraction / others if", "random_goal_fraction if", _SHARES),
+        ("(batch_size,)) < current_goal_fraction", "(batch_size,)) > current_goal_fraction", _SHARES),
+        ("valid=rows < last[:, None]", "valid=rows <= last[:, None]", _STRETCH),
+        ("ends = jnp.minimum(starts + stretch_steps, last)", "ends = starts + stretch_steps", _STRETCH),
+        ("jnp.where(goal_rows < 0, last, goal_rows))", "last)", _WAY),
+        ("data.actions[inside], rows < last)", "data.actions[inside], rows <= last)", _WINDOWS),
+        ("inside = jnp.minimum(rows, last)", "inside = rows", _WINDOWS),
     ],
     "guider/goals.py": [
         ("keepdims=True) ** 0.5", "keepdims=True)", "test_goals.py"),

@@ -21,7 +21,7 @@ PATHS = np.array(
 
 
 class Scripted:
-    """Two copies that follow PATHS whatever they are told; both objects' goals are at 0. Keeps the seeds it is given."""
+    """Two copies that follow PATHS whatever they are told; both goals are at 0. Keeps the seeds it is given."""
 
     count = 2
 

@@ -34,8 +34,8 @@ def test_a_sparse_reward_of_any_convention_says_what_is_met(missed, met):
 
 
 def test_a_radius_has_three_digits():
-    def met(achieved, desired):
-        return distance(achieved, desired) <= 0.125
+    def met(achieved, desired) -> bool:
+        return bool(distance(achieved, desired) <= 0.125)
 
     assert radius_of(met, ANYWHERE, GOALS) == 0.125
 

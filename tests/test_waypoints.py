@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def towards(observations, aims):
 RECIPE = Recipe(MAZE, Point, towards, 2, episode_steps=10, goal_offset_m=(-0.1, 0.1), goal_radius_m=0.2)
 
 
-def quietly(recipe: Recipe, steps: int, seed: int = 0):
+def quietly(recipe: Recipe, steps: int, seed: int = 0) -> Any:
     return record(recipe, steps, seed, lambda done, total: None)
 
 
