@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := runs/demo
 DATA := datasets/demo-pointmaze-large.hdf5
 
-.PHONY: demo test drill lint
+.PHONY: demo test mutants drill lint
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "guider needs Python 3.11 or newer; try: make PYTHON=python3.11 ...")'
@@ -21,6 +21,9 @@ demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes o
 
 test: .venv/installed
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+
+mutants: .venv/installed  ## Break the package in some 300 places, one at a time, and see that a test fails each time.
+	$(BIN)/python -m mutants
 
 drill: .venv/installed  ## Kill, damage, mutate, trap: under an hour on two cores; writes docs/reliability.md.
 	$(BIN)/python -m drills

@@ -162,6 +162,14 @@ def test_select_takes_whole_episodes_in_the_order_asked_for():
     assert episodes.select(np.arange(3)).fingerprint() == episodes.fingerprint()
 
 
+def test_goal_entries_in_another_order_are_another_goal_space():
+    episodes = ragged([3, 2], goals=np.zeros((5, 2)))
+    assert episodes.with_goal_space((0, 1)) is episodes
+    turned = episodes.with_goal_space((1, 0))
+    assert turned.goals is None
+    np.testing.assert_array_equal(turned.achieved, episodes.observations[:, [1, 0]])
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(2, 9), min_size=2, max_size=30), st.floats(0.05, 0.95))
 def test_split_is_disjoint_complete_and_repeatable(lengths, held_out):

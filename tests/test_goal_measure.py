@@ -33,6 +33,13 @@ def test_a_sparse_reward_of_any_convention_says_what_is_met(missed, met):
     assert radius_of(rule, ANYWHERE, GOALS) == 0.2
 
 
+def test_a_radius_has_three_digits():
+    def met(achieved, desired) -> bool:
+        return bool(distance(achieved, desired) <= 0.125)
+
+    assert radius_of(met, ANYWHERE, GOALS) == 0.125
+
+
 def dense(achieved, desired, info):
     return -distance(achieved, desired)
 

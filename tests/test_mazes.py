@@ -77,6 +77,12 @@ def test_a_wall_leads_to_the_closest_free_cell():
     np.testing.assert_array_equal(following[2, 4], [2, 3])
 
 
+def test_of_ways_equally_short_the_first_goes_right_then_left_then_down():
+    ring = Maze("ring", ("11111", "10001", "10101", "10001", "11111"), 1.0, goal_cell=(3, 2))
+    np.testing.assert_array_equal(ring.next_cells_to((3, 2))[1, 2], [1, 3])
+    np.testing.assert_array_equal(ring.next_cells_to((2, 3))[2, 1], [3, 1])
+
+
 def test_distances_across_a_divided_maze():
     divided = Maze("divided", ("11111", "10101", "11111"), 1.0, goal_cell=(1, 3))
     assert divided.distances_to((1, 3))[1, 1] == -1

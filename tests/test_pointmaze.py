@@ -95,6 +95,7 @@ def test_a_copy_is_determined_by_its_seed_alone():
     trajectory = np.array([first, *(many.step(a, np.ones(8, bool)) for a in actions)])
     again, goals_again = many.reset(np.arange(8))
     np.testing.assert_array_equal(goals, goals_again)
+    assert len(np.unique(goals, axis=0)) == 8
     rerun = np.array([again, *(many.step(a, np.ones(8, bool)) for a in actions)])
     np.testing.assert_array_equal(trajectory, rerun)
     alone, goal = few.reset(np.array([3]))

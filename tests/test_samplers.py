@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from guider.episodes import make_episodes
-from guider.samplers import Data, device_data, sample_high, sample_low, sample_windows, window_starts
+from guider.samplers import (
+    Data,
+    device_data,
+    moves,
+    sample_flat,
+    sample_high,
+    sample_low,
+    sample_windows,
+    window_starts,
+)
 
 
 def labelled(lengths, recorded: bool = False):
@@ -33,10 +42,11 @@ def test_window_starts_by_hand():
     assert window_starts(episodes, 3, "clip").tolist() == [0, 1, 3, 4, 5, 6, 7]
 
 
-def test_minimum_move_leaves_out_idle_windows():
+@pytest.mark.parametrize("minimum_move", [1.0, 2.0])
+def test_minimum_move_leaves_out_idle_windows(minimum_move):
     position = np.array([0.0, 0.0, 0.0, 2.0, 2.0, 2.0])[:, None]
     episodes = make_episodes(position, np.zeros((6, 1)), [6], (0,))
-    assert window_starts(episodes, 2, "drop", minimum_move=1.0).tolist() == [1, 2]
+    assert window_starts(episodes, 2, "drop", minimum_move).tolist() == [1, 2]
 
 
 def test_minimum_move_leaves_out_idle_episodes():
@@ -44,7 +54,20 @@ def test_minimum_move_leaves_out_idle_episodes():
     position = np.array([0.0, 2.0, 0.0, 5.0, 5.0, 5.0, 7.0, 7.4, 7.9])[:, None]
     episodes = make_episodes(position, np.zeros((9, 1)), [3, 3, 3], (0,))
     assert window_starts(episodes, 1, "drop", 1.0, "episode").tolist() == [0, 1]
+    assert window_starts(episodes, 1, "drop", 2.0, "episode").tolist() == [0, 1]
     assert window_starts(episodes, 1, "drop", 0.9, "episode").tolist() == [0, 1, 6, 7]
+
+
+def test_moves_by_hand():
+    episodes = make_episodes(np.array([[0.0], [1], [3], [6], [0], [5]]), np.zeros((6, 1)), [4, 2], (0,))
+    assert moves(episodes, 2).tolist() == [3, 5]
+    assert moves(episodes, 1).tolist() == [1, 2, 3, 5]
+
+
+def test_actions_are_learned_from_every_row_with_a_successor():
+    data = device_data(labelled([3, 6]), 3, "drop", 0.0)
+    assert data.window_rows.tolist() == [3, 4, 5]
+    assert data.transition_rows.tolist() == [0, 1, 3, 4, 5, 6, 7]
 
 
 @settings(max_examples=20, deadline=None)
@@ -82,6 +105,7 @@ def test_no_sample_crosses_an_episode(lengths, period, boundary, seed):
     assert np.array_equal(low.subgoal[:, 0], episode) and np.array_equal(low.goal[:, 0], episode)
     assert np.array_equal(low.next_achieved[:, 1], now + 1)
     assert np.all((now < subgoal) & (subgoal <= np.minimum(now + period, last[episode])))
+    assert np.array_equal(low.subgoal_steps, subgoal - now)
     assert np.all((subgoal <= goal) & (goal <= last[episode]))
 
 
@@ -129,6 +153,24 @@ def test_goal_kinds_come_in_their_shares(relabel, anywhere):
     own = np.asarray(high.goal[:, 0] == high.achieved[:, 0])
     assert recorded.mean() == pytest.approx(1 - relabel - anywhere, abs=0.006)
     assert own.mean() == pytest.approx(relabel + anywhere / 50, abs=0.006)
+
+
+def test_goals_from_anywhere_are_uniform_over_all_rows():
+    data = device_data(labelled([4, 16]), 3, "clip", 0.0)
+    flat = sample_flat(data, jax.random.key(6), 100_000, "uniform", 1.0, 0.6, 0.4)
+    anywhere = np.asarray(flat.goal)[np.asarray(flat.steps) == -1]
+    assert len(anywhere) / 100_000 == pytest.approx(0.4, abs=0.006)
+    rows = (anywhere[:, 0] * 4 + anywhere[:, 1]).astype(int)
+    np.testing.assert_allclose(counts(rows, 20), 1 / 20, atol=0.005)
+
+
+def test_geometric_goals_end_with_the_episode():
+    data = device_data(labelled([5, 7]), 3, "clip", 0.0)
+    flat = sample_flat(data, jax.random.key(7), 10_000, "geometric", 4.0, 1.0, 0.0)
+    assert np.array_equal(flat.goal[:, 0], flat.achieved[:, 0])
+    assert np.array_equal(flat.goal[:, 1] - flat.achieved[:, 1], flat.steps) and int(flat.steps.min()) == 1
+    first = np.asarray(flat.steps)[np.asarray(flat.achieved[:, 0] + flat.achieved[:, 1]) == 0]
+    np.testing.assert_allclose(counts(first, 5), [0, 1 / 4, 3 / 16, 9 / 64, 27 / 64], atol=0.05)
 
 
 def test_data_without_recorded_goals_is_relabelled_wholly():

@@ -75,6 +75,32 @@ def test_training_starts_where_it_is_told():
     assert state.total.tolist() == [4.0] and seen == [1, 3]
 
 
+def test_chunks_end_at_multiples_wherever_training_starts():
+    ends = []
+    train(
+        [counting_stage(updates=14)],
+        counts(1),
+        jnp.asarray(1.0),
+        seeds=(0,),
+        start=Position(0, 3),
+        chunk_updates=5,
+        on_chunk=lambda chunk, state: ends.append((chunk.position.update, chunk.updates)),
+    )
+    assert ends == [(5, 2), (10, 5), (14, 4)]
+
+
+def test_what_is_known_is_asked_before_a_stage_begins_alone():
+    asked = []
+
+    def known(index, state):
+        asked.append(index)
+        return jnp.full(1, 50.0) if index == 1 else None
+
+    stages = [counting_stage("one"), counting_stage("two"), counting_stage("three", 3)]
+    state = train(stages, counts(1), jnp.asarray(1.0), seeds=(0,), start=Position(0, 6), known=known)
+    assert asked == [1, 2] and state.total.tolist() == [53.0]
+
+
 def test_slicing_never_matters_to_the_bit(ragged, fast_config, monkeypatch):
     """One update at a time, or all of a chunk at once: parameters and metrics are equal."""
 
