@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from guider import data as data_sources
-from guider import runs
+from guider import processor, runs
 from guider.config import differences, override
 from guider.episodes import IN_MEMORY, Episodes
 from guider.errors import GuiderError, GuiderWarning
@@ -22,11 +22,10 @@ from guider.files import user_path
 from guider.heldout import held_out_scores
 from guider.methods import METHODS
 from guider.methods.view import check_radius, data_use, learned_windows
-from guider.outcomes import ending, proposed, share_in_walls, share_off_data
+from guider.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
 from guider.policy import Agent, Policy
 from guider.presets import Preset, preset_config
 from guider.problem import Problem
-from guider.processor import settled
 from guider.runs import Pace, Run, RunSpec
 from guider.samplers import no_window
 from guider.tasks import Task, find_task
@@ -100,7 +99,7 @@ def train(
             "none (--held-out 0)"
         )
     use = str(data_use(config.view, problem, training))
-    say(f"{use}; training multiplies in {settled(config.precision)}")
+    say(f"{use}; training multiplies in {processor.settled(config.precision)}")
     spec = RunSpec(
         task=task,
         data=_lasting(data, episodes),
@@ -284,6 +283,7 @@ def score(
         "preset": spec.preset,
         "departures": _departures(spec),
         "precision": spec.config.precision,
+        "acts_by": METHODS[spec.method].acts_by(spec.config),
         "period_steps": spec.config.problem.period_steps,
         "reach_radius": spec.config.problem.reach_radius,
         "data": spec.data,
@@ -292,6 +292,7 @@ def score(
         "updates": {stage.name: stage.updates for stage in opened.stages},
         "checkpoint": "last",
         "versions": runs.versions(),
+        "evaluated_on": processor.describe(),
     }
     if spec.task is None and (episodes is not None or first_seed is not None):
         raise GuiderError(
@@ -325,7 +326,9 @@ def score(
         result = protocol | _summary(task, outcomes, first)
         if task.maze is not None:
             in_maze = _in_maze(opened, data, task, task.maze, outcomes)
-            result["per_seed"] = [scores | more for scores, more in zip(result["per_seed"], in_maze, strict=True)]
+            for scores, (endings, shares) in zip(result["per_seed"], in_maze, strict=True):
+                scores["episodes"]["ending"] = endings
+                scores |= shares
     return result
 
 
@@ -395,14 +398,12 @@ def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
 
 def _in_maze(
     run: Run, data: str | Path | Episodes | None, task: Task, maze: Maze, outcomes: list[Rollouts]
-) -> list[dict[str, Any]]:
+) -> list[tuple[Sequence[Ending], dict[str, Any]]]:
     """Of each seed: how every episode ended, and, of a method with subgoals, the share of those it chose that lie in
     walls and off the run's data (None where that is not where it was, and nobody says where it is)."""
-    in_maze: list[dict[str, Any]] = [
-        {"endings": [ending(trace, task, maze) for trace in outcome.traces]} for outcome in outcomes
-    ]
+    endings: list[Sequence[Ending]] = [[ending(t, task, maze) for t in outcome.traces] for outcome in outcomes]
     if METHODS[run.spec.method].pursued is None:
-        return in_maze
+        return [(of_seed, {}) for of_seed in endings]
     try:
         logged = _same_data(run, data).achieved
     except GuiderError as error:
@@ -410,11 +411,11 @@ def _in_maze(
             raise
         warnings.warn(GuiderWarning(f"how many subgoals lie off the data is not told: {error}"), stacklevel=2)
         logged = None
-    for scores, outcome in zip(in_maze, outcomes, strict=True):
-        subgoals = proposed(outcome.traces)
+    shares: list[dict[str, Any]] = []
+    for subgoals in (proposed(outcome.traces) for outcome in outcomes):
         off = None if logged is None else share_off_data(subgoals, logged, run.spec.config.problem.reach_radius)
-        scores |= {"subgoals_in_walls": share_in_walls(subgoals, maze), "subgoals_off_data": off}
-    return in_maze
+        shares.append({"subgoals_in_walls": share_in_walls(subgoals, maze), "subgoals_off_data": off})
+    return list(zip(endings, shares, strict=True))
 
 
 def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:
@@ -435,6 +436,11 @@ def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str,
             "median_steps_when_met": float(np.median(outcome.steps[outcome.success]))
             if outcome.success.any()
             else None,
+            "episodes": {
+                "score": outcome.score.tolist(),
+                "met": outcome.success.tolist(),
+                "steps": outcome.steps.tolist(),
+            },
         }
         for outcome in outcomes
     ]

@@ -591,7 +591,8 @@ def _stage_bars():
 
 
 def _evaluation_table(result: dict[str, Any]) -> Table:
-    table = Table(box=None, title=f"{result['task'] or result['data']}, preset {result['preset']}")
+    title = f"{result['task'] or result['data']}, {result['method']}, preset {result['preset']}"
+    table = Table(box=None, title=title, caption=f"acts by the {result['acts_by']}")
     table.add_column("seed")
     if result["task"] is None:
         names = list(result["per_seed"][0])
@@ -600,7 +601,7 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
             table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
         return table
-    in_maze = ("fell / stuck / time",) if "endings" in result["per_seed"][0] else ()
+    in_maze = ("fell / stuck / time",) if "ending" in result["per_seed"][0]["episodes"] else ()
     guided = ("subgoals off data", "in walls") if "subgoals_in_walls" in result["per_seed"][0] else ()
     for name in (result["unit"], "95 % interval", "median steps when met", *in_maze, *guided):
         table.add_column(name)
@@ -608,7 +609,8 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         low, high = scores["interval_95"]
         cells = [f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"])]
         if in_maze:
-            cells.append(" / ".join(str(scores["endings"].count(cause)) for cause in ("fell", "stuck", "time")))
+            endings = scores["episodes"]["ending"]
+            cells.append(" / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time")))
         if guided:
             shares = (scores["subgoals_off_data"], scores["subgoals_in_walls"])
             cells += ["?" if share is None else f"{100 * share:.1f} %" for share in shares]

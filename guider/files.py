@@ -78,7 +78,14 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, values: dict[str, Any]) -> None:
     """Write JSON, as `write_text` does, with a checksum of its content."""
     plain = json.loads(json.dumps(values))
-    write_text(path, json.dumps(plain | {CHECKSUM: _checksum(plain)}, indent=1) + "\n")
+    write_text(path, _rows_in_lines(json.dumps(plain | {CHECKSUM: _checksum(plain)}, indent=1)) + "\n")
+
+
+def _rows_in_lines(text: str) -> str:
+    """Indented JSON with each list of numbers and words on one line; within strings no line ends, so none changes."""
+    return re.sub(
+        r"\[\n[^\[\]{}]*\n *\]", lambda rows: re.sub(r"\n *", " ", rows[0]).replace("[ ", "[")[:-2] + "]", text
+    )
 
 
 def parse_json(path: Path) -> dict[str, Any]:

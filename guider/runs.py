@@ -53,7 +53,7 @@ from guider.locks import hold
 from guider.methods import METHODS
 from guider.methods.view import Scale, prepare, unit_scale
 from guider.policy import Policy
-from guider.processor import settled
+from guider.processor import describe, settled
 from guider.stopping import on_signals
 from guider.training import Chunk, Position, init_seeds, seed_keys, train
 
@@ -196,7 +196,7 @@ def start(
             directory.parent.mkdir(parents=True, exist_ok=True)
             clear_leftovers(directory.parent, re.escape(shortened(directory.name)))
             new.mkdir()
-            about = {"facts": facts, "made_with": versions()}
+            about = {"facts": facts, "made_with": versions(), "trained_on": describe()}
             write_json(new / "run.json", {"run_format": FORMAT, **to_dict(spec), **about})
             check_free(directory)
             new.rename(directory)
@@ -419,7 +419,7 @@ def open_run(directory: str | Path) -> Run:
     if values.get("run_format") != FORMAT:
         raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
     values = checked(path, values, "put the original back, or train the run anew")
-    for name in ("run_format", "made_with", "facts"):
+    for name in ("run_format", "made_with", "trained_on", "facts"):
         values.pop(name, None)
     method = values.get("method")
     if not isinstance(method, str) or method not in METHODS:

@@ -16,6 +16,7 @@ from jax import tree
 import guider
 from guider import runs
 from guider.cli import COMMANDS, main
+from tools import results
 
 TINY = [
     "--set",
@@ -48,6 +49,16 @@ def test_collect_train_evaluate_plot(recorded, tmp_path, capsys):
     assert result["task"] == "pointmaze-umaze" and "MuJoCo" in result["environment"]
     assert len(result["per_seed"]) == 2 and result["episode_seeds"] == [0, 5]
     assert result["departures"]["low.updates"] == 4 and result["preset"] == "fast"
+    assert [len(seed["episodes"][of]) for seed in result["per_seed"] for of in ("score", "met", "steps", "ending")] == [
+        3
+    ] * 8
+    kept = results.kept(runs.open_run(run), "guider collect pointmaze-umaze --steps 600")
+    assert kept["per_seed"] == result["per_seed"] and str(tmp_path) not in json.dumps(kept)
+    collect, train, evaluate = kept["commands"]
+    assert collect == "guider collect pointmaze-umaze --steps 600 --out DATA.hdf5"
+    assert train.startswith("guider train pointmaze-umaze --data DATA.hdf5 --method guider --preset fast --seeds 2 ")
+    assert {"low.updates=4", f"precision={result['precision']}"} <= set(train.partition(" --set ")[2].split())
+    assert evaluate == "guider evaluate RUN --episodes 3 --first-seed 0"
     assert main(["plot", run, "--json"]) == 0
     plots = json.loads(capsys.readouterr().out)["plots"]
     assert len(plots) >= 5

@@ -89,6 +89,7 @@ def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, .
         "preset": run.preset,
         "departures": {"high.samples": 2, "low.updates": len(run.variant)},
         "period_steps": 50,
+        "acts_by": "mean of the policy",
         "data": "somewhere",
         "fingerprint": "0123456789abcdef",
         "training_seeds": list(run.seeds),

@@ -20,6 +20,7 @@ class Method:
     initial_acting_state: (config, goal_dim, batch_size) -> what acting remembers between steps
     act:      (config, state, goal_indices, observation, goal, acting_state, reset_mask)
               -> (actions in [-1, 1], acting_state)
+    acts_by:  (config) -> how it chooses what it does, in a few words
     pursued:  (config, acting_state) -> (subgoals [B, G] in goal units, whether each is new [B]), None without subgoals
     """
 
@@ -28,14 +29,22 @@ class Method:
     stages: Callable[..., Any]
     initial_acting_state: Callable[..., Any]
     act: Callable[..., Any]
+    acts_by: Callable[..., str]
     pursued: Callable[..., Any] | None = None
 
 
-_FLAT = Method(flat.FlatConfig, flat.init, flat.stages, flat.initial_acting_state, flat.act)
+_FLAT = Method(flat.FlatConfig, flat.init, flat.stages, flat.initial_acting_state, flat.act, flat.acts_by)
 _GUIDER = Method(
-    guider.GuiderConfig, guider.init, guider.stages, guider.initial_acting_state, guider.act, guider.pursued
+    guider.GuiderConfig,
+    guider.init,
+    guider.stages,
+    guider.initial_acting_state,
+    guider.act,
+    guider.acts_by,
+    guider.pursued,
 )
-_HIQL = Method(hiql.HiqlConfig, hiql.init, hiql.stages, hiql.initial_acting_state, hiql.act)
+_HIQL = Method(hiql.HiqlConfig, hiql.init, hiql.stages, hiql.initial_acting_state, hiql.act, hiql.acts_by)
+_OPAL = Method(opal.OpalConfig, opal.init, opal.stages, opal.initial_acting_state, opal.act, opal.acts_by)
 
 METHODS = {
     "guider": _GUIDER,
@@ -49,6 +58,6 @@ METHODS = {
     "iql": _FLAT,
     "hiql": _HIQL,
     "hiql-places": _HIQL,
-    "opal": Method(opal.OpalConfig, opal.init, opal.stages, opal.initial_acting_state, opal.act),
+    "opal": _OPAL,
 }
 """Methods by name; guider.presets holds what tells those of one family apart."""

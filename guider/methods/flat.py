@@ -117,6 +117,11 @@ def initial_acting_state(config: FlatConfig, goal_dim: int, batch_size: int) -> 
     return ()
 
 
+def acts_by(config: FlatConfig) -> str:
+    """How it chooses what it does."""
+    return "most likely action towards the final goal"
+
+
 def act(
     config: FlatConfig,
     state: FlatState,

@@ -230,10 +230,12 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
 
 
 def acts_by(config: GuiderConfig) -> str:
-    """How a subgoal is chosen, for tables."""
-    if config.candidates == 1:
-        return "mean of the subgoal policy"
-    return f"best of {config.candidates} samples of the {'prior' if config.high.prior else 'subgoal policy'}"
+    """How a subgoal is chosen, and for how long."""
+    chosen = "mean of the subgoal policy"
+    if config.candidates > 1:
+        chosen = f"best of {config.candidates} samples of the {'prior' if config.high.prior else 'subgoal policy'}"
+    until = " or once it is reached" if config.replan == "reached" else ""
+    return f"{chosen}, a new one every {config.problem.period_steps} steps{until}"
 
 
 def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array) -> jax.Array:

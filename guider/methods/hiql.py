@@ -385,6 +385,11 @@ def initial_acting_state(config: HiqlConfig, goal_dim: int, batch_size: int) -> 
     return ()
 
 
+def acts_by(config: HiqlConfig) -> str:
+    """How it chooses what it does."""
+    return "mean of the high level, a new one at every step"
+
+
 def act(
     config: HiqlConfig,
     state: HiqlState,

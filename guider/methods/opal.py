@@ -249,6 +249,11 @@ def initial_acting_state(config: OpalConfig, goal_dim: int, batch_size: int) -> 
     return ActingState(jnp.zeros((batch_size, config.skills.latent_dim)), jnp.zeros(batch_size, jnp.int32))
 
 
+def acts_by(config: OpalConfig) -> str:
+    """How it chooses what it does."""
+    return f"mean of the skill policy, a new one every {config.skill_steps} steps"
+
+
 def act(
     config: OpalConfig,
     state: OpalState,

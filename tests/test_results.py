@@ -1,0 +1,46 @@
+"""The tables that documents show are those of the store."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from guider.files import write_json
+from tools import results
+
+
+def result(scores: list[list[float]], ending: str) -> dict:
+    per_seed = [
+        {
+            "score": sum(of_seed) / len(of_seed),
+            "episodes": {"score": of_seed, "ending": ["met" if score else ending for score in of_seed]},
+            "subgoals_in_walls": 0.25,
+            "subgoals_off_data": 0.0,
+        }
+        for of_seed in scores
+    ]
+    facts = {"acts_by": "mean", "updates": {"low": 5}, "evaluated_on": "a processor", "commands": ["guider one", "two"]}
+    return facts | {"per_seed": per_seed}
+
+
+def test_documents_show_what_the_store_holds(capsys):
+    assert results.main(["tables", "--check"]) == 0, capsys.readouterr().out
+
+
+def test_tables_by_hand(tmp_path):
+    """Four runs of two episodes: 100, 50, 50 and 0 % succeed; one of the failures fell, three were stuck."""
+    (tmp_path / "antmaze-large-diverse").mkdir()
+    write_json(tmp_path / "antmaze-large-diverse" / "guider-fast-7.json", result([[100, 100], [100, 0]], "fell"))
+    write_json(tmp_path / "antmaze-large-diverse" / "guider-fast-8.json", result([[0, 100], [0, 0]], "stuck"))
+    table = results.tables(tmp_path)["antmaze"]
+    row = table.splitlines()[2]
+    assert re.sub(r"\(.*?\)", "()", row) == (
+        "| antmaze-large-diverse | `guider collect`, data seeds 7, 8 | 100, 50; 50, 0 | **50.0** () | 1 / 3 / 0 of 8 | "
+        "25.0 / 0.0 |"
+    )
+    assert table.endswith("```\nguider one\ntwo\n```") and "acts by the mean" in table.lower()
+    document = "a\n<!-- table antmaze -->\nold\n<!-- end -->\nb\n"
+    assert results.filled(document, {"antmaze": "new"}) == document.replace("old", "new")
+    with pytest.raises(KeyError):
+        results.filled(document, {})

@@ -1,0 +1,170 @@
+"""The store of results, `results/TASK/VARIANT.json`, and the tables that documents show of it.
+
+`keep` takes in what `guider evaluate` said of a finished run, with the commands that make it again. `tables` rewrites
+what stands between `<!-- table NAME -->` and `<!-- end -->` in README.md and docs/results.md; with `--check` it only
+says whether that would change anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from guider import runs
+from guider.config import differences
+from guider.evaluation import bootstrap_interval
+from guider.files import parse_json, write_json, write_text
+from guider.presets import Preset, preset_config
+from guider.problem import Problem
+from guider.reproduce.report import training_minutes
+from guider.tasks import find_task
+
+ROOT = Path(__file__).parent.parent
+STORE = ROOT / "results"
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "results.md")
+PLACES = ("data", "checksum")
+"""Of an evaluation, what tells of the machine it was made on alone."""
+
+
+def commands(run: runs.Run, recorded: str, evaluation: dict[str, Any]) -> list[str]:
+    """The command lines that make data, run and score again. recorded: the first of them, without its --out."""
+    spec, task = run.spec, find_task(run.spec.task or "")
+    plain = Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.domain)
+    changed = differences(spec.config, preset_config(spec.method, cast(Preset, spec.preset), plain))
+    words = ["guider", "train", task.name, "--data", "DATA.hdf5", "--method", spec.method, "--preset", spec.preset]
+    words += ["--seeds", str(len(spec.seeds)), "--first-seed", str(spec.seeds[0]), "--out", "RUN"]
+    if (period := changed.pop("problem.period_steps", None)) is not None:
+        words += ["--period-steps", str(period)]
+    if changed:
+        words += ["--set", *(f"{name}={value}" for name, value in changed.items())]
+    episodes, first = evaluation["episodes_per_seed"], evaluation["episode_seeds"][0]
+    scored = f"guider evaluate RUN --episodes {episodes} --first-seed {first}"
+    return [f"{recorded} --out DATA.hdf5", shlex.join(words), scored]
+
+
+def kept(run: runs.Run, recorded: str) -> dict[str, Any]:
+    """What the store holds of a run that was evaluated on its task."""
+    evaluation = parse_json(run.directory / "evaluation.json")
+    trained_on = parse_json(run.directory / "run.json").get("trained_on")
+    return {
+        "commands": commands(run, recorded, evaluation),
+        "trained_on": trained_on,
+        "training_minutes": round(training_minutes(run.directory), 1),
+        **{name: value for name, value in evaluation.items() if name not in PLACES},
+    }
+
+
+@dataclass(frozen=True)
+class Row:
+    """Runs that a table shows as one: of one task and kind of data."""
+
+    task: str
+    label: str
+    results: tuple[dict[str, Any], ...]
+
+    @property
+    def seeds(self) -> list[dict[str, Any]]:
+        return [seed for result in self.results for seed in result["per_seed"]]
+
+    @property
+    def cells(self) -> list[str]:
+        """Success of each run and seed, mean and interval, endings of failures, shares of subgoals."""
+        scores = np.array([seed["episodes"]["score"] for seed in self.seeds])
+        low, high = bootstrap_interval(scores)
+        endings = [ending for seed in self.seeds for ending in seed["episodes"]["ending"]]
+        shares = [
+            100 * np.mean([seed[f"subgoals_{where}"] for seed in self.seeds]) for where in ("in_walls", "off_data")
+        ]
+        return [
+            self.task,
+            self.label,
+            "; ".join(", ".join(f"{seed['score']:g}" for seed in result["per_seed"]) for result in self.results),
+            f"**{scores.mean():.1f}** ({low:.1f} to {high:.1f})",
+            " / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time")) + f" of {len(endings)}",
+            " / ".join(f"{share:.1f}" for share in shares),
+        ]
+
+
+HEADER = (
+    "task",
+    "data",
+    "success of each training seed, %; by data seed",
+    "mean (95 %)",
+    "failures: fell / stuck / out of time",
+    "subgoals in walls / off the data, %",
+)
+
+
+def antmaze(store: Path, variant: str, label: str) -> list[Row]:
+    """A row per maze, of the runs VARIANT-DATASEED."""
+    rows = []
+    for size in ("umaze", "medium", "large"):
+        files = sorted((store / f"antmaze-{size}-diverse").glob(f"{variant}-*.json"))
+        if files:
+            seeds = ", ".join(file.stem.removeprefix(f"{variant}-") for file in files)
+            results = tuple(parse_json(file) for file in files)
+            rows.append(Row(f"antmaze-{size}-diverse", f"{label}, data seeds {seeds}", results))
+    return rows
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table, and the commands of its first run."""
+    lines = [HEADER, ["---"] * len(HEADER), *(row.cells for row in rows)]
+    first = rows[0].results[0]
+    facts = f"Acts by the {first['acts_by']}; {first['updates']} updates; {first['evaluated_on']}."
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"{table}\n\n{facts}\n\n```\n" + "\n".join(first["commands"]) + "\n```"
+
+
+def tables(store: Path = STORE) -> dict[str, str]:
+    """Every table by name."""
+    made = {"antmaze": antmaze(store, "guider-fast", "`guider collect`")}
+    return {name: markdown(rows) for name, rows in made.items() if rows}
+
+
+def filled(document: str, made: dict[str, str]) -> str:
+    """The document with its tables as they are now. Raises KeyError for a table that there is not."""
+    return re.sub(
+        r"(<!-- table (\S+) -->\n).*?(\n<!-- end -->)",
+        lambda mark: f"{mark[1]}{made[mark[2]]}{mark[3]}",
+        document,
+        flags=re.DOTALL,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tools.results", description=__doc__)
+    actions = parser.add_subparsers(dest="action", required=True)
+    keep = actions.add_parser("keep", help="take the evaluation of a run into the store")
+    keep.add_argument("run", type=Path, help="directory of the run")
+    keep.add_argument("--variant", required=True, help="the result's name below its task")
+    keep.add_argument("--recorded", required=True, help="the command that made the data, without --out")
+    show = actions.add_parser("tables", help="bring the documents up to date")
+    show.add_argument("--check", action="store_true", help="change nothing; exit with 1 where something would change")
+    asked = parser.parse_args(arguments)
+    if asked.action == "keep":
+        run = runs.open_run(asked.run)
+        place = STORE / (run.spec.task or "") / f"{asked.variant}.json"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_json(place, kept(run, asked.recorded))
+        print(f"kept {place.relative_to(ROOT)}; next: python -m tools.results tables")
+        return 0
+    made = tables()
+    stale = [path for path in DOCUMENTS if filled(path.read_text(), made) != path.read_text()]
+    for path in stale:
+        print(f"{path.relative_to(ROOT)} {'differs from the store' if asked.check else 'brought up to date'}")
+        if not asked.check:
+            write_text(path, filled(path.read_text(), made))
+    return int(asked.check and bool(stale))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
