@@ -36,6 +36,7 @@ _STAY = "test_pointmaze.py::test_inactive_copies_stay_as_they_are_and_do_not_dis
 _UPDATES = "test_training.py::test_updates_metrics_and_positions_by_hand"
 _CHUNKS = "test_training.py::test_chunks_end_at_multiples_wherever_training_starts"
 _STOPS = "test_training.py::test_training_stops_when_told_and_goes_on_from_there"
+_FIGURE_4 = "test_methods.py::test_figure_4_compares_equal_learners"
 _INITIALISED = "test_updates.py::test_initialisation"
 _LATENT = "test_updates.py::test_latent_model"
 _CQL_LEVEL = "test_updates.py::test_high_level_with_cql"
@@ -443,6 +444,10 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("missing + config.beta * kl", "missing - config.beta * kl", _ELBO),
         ("reward=losses.goal_reward(batch.later,", "reward=losses.goal_reward(batch.achieved,", _SKILLS),
         ("jnp.where(renew, config.skill_steps,", "jnp.where(renew, config.problem.period_steps,", _SKILL_TIME),
+    ],
+    "guider/presets.py": [
+        ("learner=_fast_learner(problem, learner),\n        ),", "learner=learner,\n        ),", _FIGURE_4),
+        ("override(learner, LEARNERS_FAST.get(learner.kind, {}) | changes)", "override(learner, changes)", _FIGURE_4),
     ],
     "guider/methods/flat.py": [
         ("(goal - achieved) / scale.goal_std if", "(goal - achieved) / scale.step_std if", "test_learners.py"),

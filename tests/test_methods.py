@@ -4,6 +4,7 @@ at once, and take ragged episodes."""
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import jax
 import numpy as np
@@ -17,7 +18,7 @@ from guider import api, runs
 from guider.config import differences, from_dict, to_dict
 from guider.errors import GuiderError
 from guider.methods import METHODS
-from guider.presets import preset_config
+from guider.presets import Preset, preset_config
 from guider.problem import Problem
 
 PROBLEM = Problem(radius=0.5, reach_radius=1.0, period_steps=5)
@@ -54,6 +55,15 @@ def test_learns_to_walk_a_corridor_either_way(method, stages, tmp_path):
     )
     (policy,) = run.policies()
     assert crosses_corridor(policy, distance=6, steps=25)
+
+
+@pytest.mark.parametrize("preset", get_args(Preset))
+@pytest.mark.parametrize("domain", [None, "antmaze", "pointmaze", "fetch", "kitchen"])
+def test_figure_4_compares_equal_learners(domain, preset):
+    """Alone and below Guider's high level alike."""
+    for alone, below in [("gcsl", "guider-gcsl"), ("wgcsl", "guider-wgcsl"), ("cql-her", "guider-cql")]:
+        flat, guided = (preset_config(method, preset, Problem(domain=domain)) for method in (alone, below))
+        assert flat.learner == guided.low.learner
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if not name.startswith("guider-")])

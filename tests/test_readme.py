@@ -39,3 +39,15 @@ def test_the_files_it_names_exist():
     (tree,) = re.findall(r"```\n(guider/\n.*?)```", README, flags=re.DOTALL)
     for name in re.findall(r"\b(\w+\.(?:py|md))\b", tree):
         assert list(root.glob(f"guider/**/{name}")) or (root / "docs" / name).exists(), name
+
+
+def test_the_tests_that_equations_name_exist():
+    """Each name belongs to the file named last before it."""
+    tests = Path(__file__).parent
+    text = (tests.parent / "docs" / "equations.md").read_text()
+    names = re.findall(r"`(?:(test_\w+)\.)?(test_\w+)`", text)
+    assert len(names) > 30
+    file = ""
+    for named, function in names:
+        file = named or file
+        assert f"def {function}(" in (tests / f"{file}.py").read_text(), f"{file}.{function}"
