@@ -36,10 +36,12 @@ def test_tables_by_hand(tmp_path):
     table = results.tables(tmp_path)["antmaze"]
     row = table.splitlines()[2]
     assert re.sub(r"\(.*?\)", "()", row) == (
-        "| antmaze-large-diverse | `guider collect`, data seeds 7, 8 | 100, 50; 50, 0 | **50.0** () | 1 / 3 / 0 of 8 | "
-        "25.0 / 0.0 |"
+        "| antmaze-large-diverse | `guider collect`, data seeds 7, 8 | 100, 50; 50, 0 | **50.0** () | 2 x 2, 8 | "
+        "1 / 3 / 0 of 8 | 25.0 / 0.0 |"
     )
     assert table.endswith("```\nguider one\ntwo\n```") and "acts by the mean" in table.lower()
+    short = results.tables(tmp_path)["headline"].splitlines()[2]
+    assert re.sub(r"\(.*?\)", "()", short) == "| antmaze-large-diverse | **50.0** () | 2 x 2, 8 | 1 / 3 / 0 of 8 |"
     document = "a\n<!-- table antmaze -->\nold\n<!-- end -->\nb\n"
     assert results.filled(document, {"antmaze": "new"}) == document.replace("old", "new")
     with pytest.raises(KeyError):

@@ -74,33 +74,28 @@ class Row:
     def seeds(self) -> list[dict[str, Any]]:
         return [seed for result in self.results for seed in result["per_seed"]]
 
-    @property
-    def cells(self) -> list[str]:
-        """Success of each run and seed, mean and interval, endings of failures, shares of subgoals."""
+    def cells(self) -> dict[str, str]:
+        """By column: success of each run and seed, mean and interval, endings of failures, shares of subgoals."""
         scores = np.array([seed["episodes"]["score"] for seed in self.seeds])
         low, high = bootstrap_interval(scores)
         endings = [ending for seed in self.seeds for ending in seed["episodes"]["ending"]]
-        shares = [
+        causes = " / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time"))
+        in_walls, off_data = (
             100 * np.mean([seed[f"subgoals_{where}"] for seed in self.seeds]) for where in ("in_walls", "off_data")
-        ]
-        return [
-            self.task,
-            self.label,
-            "; ".join(", ".join(f"{seed['score']:g}" for seed in result["per_seed"]) for result in self.results),
-            f"**{scores.mean():.1f}** ({low:.1f} to {high:.1f})",
-            " / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time")) + f" of {len(endings)}",
-            " / ".join(f"{share:.1f}" for share in shares),
-        ]
+        )
+        each = [", ".join(f"{seed['score']:g}" for seed in result["per_seed"]) for result in self.results]
+        return {
+            "task": self.task,
+            "data": self.label,
+            "success, %, of each training seed; by data seed": "; ".join(each),
+            "success, % (95 %)": f"**{scores.mean():.1f}** ({low:.1f} to {high:.1f})",
+            "data x training seeds, episodes": f"{len(each)} x {len(scores) // len(each)}, {scores.size}",
+            "failures: fell / stuck / out of time": f"{causes} of {len(endings)}",
+            "subgoals in walls / off the data, %": f"{in_walls:.1f} / {off_data:.1f}",
+        }
 
 
-HEADER = (
-    "task",
-    "data",
-    "success of each training seed, %; by data seed",
-    "mean (95 %)",
-    "failures: fell / stuck / out of time",
-    "subgoals in walls / off the data, %",
-)
+SHORT = ("task", "success, % (95 %)", "data x training seeds, episodes", "failures: fell / stuck / out of time")
 
 
 def antmaze(store: Path, variant: str, label: str) -> list[Row]:
@@ -115,26 +110,28 @@ def antmaze(store: Path, variant: str, label: str) -> list[Row]:
     return rows
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """The table, and the commands of its first run."""
-    lines = [HEADER, ["---"] * len(HEADER), *(row.cells for row in rows)]
-    first = rows[0].results[0]
-    facts = f"Acts by the {first['acts_by']}; {first['updates']} updates; {first['evaluated_on']}."
+def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
+    """The table, of these columns or all, and the commands of its last run."""
+    cells = [row.cells() for row in rows]
+    header = columns or tuple(cells[0])
+    lines = [header, ["---"] * len(header), *([row[name] for name in header] for row in cells)]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f"{table}\n\n{facts}\n\n```\n" + "\n".join(first["commands"]) + "\n```"
+    last = rows[-1].results[-1]
+    facts = f"Acts by the {last['acts_by']}. Processor: {last['evaluated_on']}. The commands of the last run:"
+    return f"{table}\n\n{facts}\n\n```\n" + "\n".join(last["commands"]) + "\n```"
 
 
 def tables(store: Path = STORE) -> dict[str, str]:
     """Every table by name."""
-    made = {"antmaze": antmaze(store, "guider-fast", "`guider collect`")}
-    return {name: markdown(rows) for name, rows in made.items() if rows}
+    rows = antmaze(store, "guider-fast", "`guider collect`")
+    return {"antmaze": markdown(rows), "headline": markdown(rows, SHORT)} if rows else {}
 
 
 def filled(document: str, made: dict[str, str]) -> str:
     """The document with its tables as they are now. Raises KeyError for a table that there is not."""
     return re.sub(
-        r"(<!-- table (\S+) -->\n).*?(\n<!-- end -->)",
-        lambda mark: f"{mark[1]}{made[mark[2]]}{mark[3]}",
+        r"(<!-- table (\S+) -->\n).*?(<!-- end -->)",
+        lambda mark: f"{mark[1]}{made[mark[2]]}\n{mark[3]}",
         document,
         flags=re.DOTALL,
     )
