@@ -318,7 +318,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("density.mean() - action_dim", "density.mean() + action_dim", _CQL),
         ("* density - value).mean()", "* density + value).mean()", _CQL),
         ("config.conservative_weight * gap.sum()", "config.conservative_weight * gap.mean()", _CQL),
-        ("+ config.cloning_weight * error", "", _CQL),
+        ("+ config.cloning_weight * cloning", "", _CQL),
         ("[uniform_density, next_density, now_density]", "[uniform_density, now_density, next_density]", _CQL),
     ],
     "guider/methods/latent_subgoals.py": [

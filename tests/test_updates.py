@@ -391,9 +391,12 @@ def test_wgcsl(twins):
     np.testing.assert_allclose(learned.after.recent[:ROWS], advantage, rtol=1e-9)
 
 
-def test_cql():
+@pytest.mark.parametrize("error", ["squared", "absolute"])
+def test_cql(error):
     """Kumar et al. 2020 on a squashed Gaussian, whose densities change with tanh; alpha aims at an entropy of -A."""
-    config = CqlConfig(samples=3, conservative_weight=0.7, cloning_weight=0.3, discount=0.9)
+    config = CqlConfig(
+        samples=3, conservative_weight=0.7, cloning_weight=0.3, discount=0.9, regression=RegressionConfig(error=error)
+    )
     learned = Learned(cql, config)
     learned = _with_alpha(learned, 0.4)
     b, old = learned.b, learned.old
@@ -430,7 +433,8 @@ def test_cql():
         action, density = squashed(params, b.state, noise)
         actor = (np.exp(old.log_alpha) * density - ref.q(old.critic, b.state, action).min(0)).mean()
         alpha = -params.log_alpha * (old_entropy - ACTIONS)
-        cloned = ((np.tanh(ref.gaussian(ref.mlp(params.actor, b.state))[0]) - b.action) ** 2).mean()
+        misses = np.abs(np.tanh(ref.gaussian(ref.mlp(params.actor, b.state))[0]) - b.action)
+        cloned = (misses**2 if error == "squared" else misses).mean()
         return learned.td_error(params, target) + 0.7 * gap + actor + alpha + 0.3 * cloned
 
     learned.check(loss)

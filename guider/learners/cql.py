@@ -8,7 +8,7 @@ step together. Guider's authors published no code of their CQL+HER.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from guider import losses
 from guider.config import check_fraction, check_not_negative, check_positive
+from guider.learners.regression import RegressionConfig, regress
 from guider.learners.types import Transitions
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
@@ -33,7 +34,9 @@ class CqlConfig:
     """Actions drawn from each of the three proposals, and for the max-Q backup."""
     conservative_weight: float = 5.0
     cloning_weight: float = 0.0
-    """Of the squared error to the logged action in the actor's loss (departure; CQL clones in early updates alone)."""
+    """Of the regression on the logged action in the actor's loss (departure; CQL clones in early updates alone)."""
+    regression: RegressionConfig = field(default_factory=RegressionConfig)
+    """How cloning counts errors."""
 
     def __post_init__(self) -> None:
         check_positive(self, "samples")
@@ -84,7 +87,8 @@ def squashed_sample(policy: Gaussian, key: jax.Array, count: int) -> tuple[jax.A
 def update(
     config: CqlConfig, state: CqlState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[CqlState, Metrics]:
-    """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A)."""
+    """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A). `key` is for samples and
+    dropout."""
     uniform_key, next_key, now_key, actor_key = jax.random.split(key, 4)
     old = state.params
     action_dim = batch.action.shape[-1]
@@ -109,17 +113,18 @@ def update(
         alpha = jnp.exp(params.log_alpha)
         actor = (jax.lax.stop_gradient(alpha) * density - value).mean()
         temperature = -params.log_alpha * jax.lax.stop_gradient(density.mean() - action_dim)
-        error = ((jnp.tanh(policy.mean) - batch.action) ** 2).mean()
+        dropout, dropout_key = config.regression.dropout, jax.random.fold_in(key, len(old.actor))
+        cloned = jnp.tanh(gaussian_head(mlp(params.actor, batch.state, dropout=dropout, key=dropout_key)).mean)
+        cloning, error_metrics = regress(config.regression, jnp.ones_like(batch.reward), cloned, batch.action)
         metrics = {
             "td_error": td,
             "value": values.mean(),
             "conservative_gap": gap.mean(),
             "alpha": alpha,
             "policy_value": value.mean(),
-            "action_error": error,
         }
-        total = td + config.conservative_weight * gap.sum() + actor + temperature + config.cloning_weight * error
-        return total, metrics
+        total = td + config.conservative_weight * gap.sum() + actor + temperature + config.cloning_weight * cloning
+        return total, metrics | error_metrics
 
     gradients, metrics = jax.grad(loss, has_aux=True)(old)
     params, optimiser = adam_step(rate, old, gradients, state.optimiser)
