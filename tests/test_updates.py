@@ -48,16 +48,14 @@ def float64():
         yield
 
 
-def normal(key: int, *shape: int) -> jax.Array:
-    return jax.random.normal(jax.random.key(key), shape)
+def normal(seed: int, *shape: int) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape))
 
 
-def shaken(tree: Any, key: int = 9) -> Any:
+def shaken(tree: Any, seed: int = 9) -> Any:
     """The same with 0.3 N(0, 1) added everywhere."""
-    leaves, structure = jax.tree.flatten(tree)
-    keys = jax.random.split(jax.random.key(key), len(leaves))
-    moved = [leaf + 0.3 * jax.random.normal(k, leaf.shape) for leaf, k in zip(leaves, keys, strict=True)]
-    return jax.tree.unflatten(structure, moved)
+    rng = np.random.default_rng(seed)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf + 0.3 * rng.normal(size=leaf.shape)), tree)
 
 
 def plain(tree: Any) -> Any:
@@ -113,7 +111,9 @@ class High:
         self.config = SubgoalPolicyConfig(**{"hidden": HIDDEN, "learning_rate": RATE, "samples": 3} | settings)
         state = subgoal_policy.init(jax.random.key(0), self.config, INPUTS, 2)
         params = shaken(state.params)._replace(log_alpha=jnp.asarray(0.4), log_lagrange=jnp.asarray(-0.3))
-        self.state = state._replace(params=params, target_critic=shaken(params.critic, 8))
+        *below, (weights, biases) = shaken(params.critic, 8)
+        high = (*below, (weights, biases + 1.5))  # some targets lie above 0
+        self.state = state._replace(params=params, target_critic=high)
         self.batch = subgoal_policy.Transitions(
             state=normal(1, ROWS, INPUTS),
             latent=normal(2, ROWS, 2),
