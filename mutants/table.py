@@ -273,7 +273,6 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("next_action).min(axis=0)", "next_action).max(axis=0)", _AWR),
         ("lambda leaf: leaf[:1]", "lambda leaf: leaf[1:]", _AWR),
         ("ahead - twin_values", "ahead + twin_values", _AWR),
-        ("advantage = jax.lax.stop_gradient(advantage)", "pass", _AWR_FAST),
         ("values.min(axis=0) - twin", "values.max(axis=0) - twin", _AWR_FAST),
         ("gaussian_head(mlp(state.params.actor, inputs)).mean, -1.0", "mlp(state.params.actor, inputs), -1.0", _AWR),
         ("trail(state.target_critic", "trail(params.critic", _AWR),

@@ -108,7 +108,6 @@ def update(
             advantage = ahead - twin_values(first, batch.state, predicted)[0]
         else:
             advantage = values.min(axis=0) - twin_values(old.critic, batch.state, predicted).min(axis=0)
-        advantage = jax.lax.stop_gradient(advantage)
         weight = losses.advantage_weight(advantage, config.temperature, config.weight_ceiling)
         regression, error_metrics = regress(config.regression, weight, predicted, batch.action)
         metrics = {
