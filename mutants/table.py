@@ -306,7 +306,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("1.0, config.poor_weight)", "config.poor_weight, 1.0)", "test_learners.py"),
         ("config.percentile_rise * state.optimiser.count", "config.percentile_rise", _WGCSL),
         ("jnp.arange(size) < seen, recent, jnp.nan", "jnp.arange(size) < size, recent, jnp.nan", _WGCSL),
-        ("(state.seen + jnp.arange(len(advantage))) % size", "jnp.arange(len(advantage))", "test_learners.py"),
+        ("(state.seen + jnp.arange(len(advantage))) % size", "jnp.arange(len(advantage))", _WGCSL),
         ("-config.input_limit, config.input_limit", "-config.input_limit, jnp.inf", _WGCSL),
         ("trail(state.target, params,", "trail(params, params,", _WGCSL),
     ],

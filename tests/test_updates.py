@@ -363,11 +363,14 @@ def test_iql():
 
 @pytest.mark.parametrize("twins", [False, True])
 def test_wgcsl(twins):
-    """Yang et al. 2022: gamma^(k-1), exp(A) and the best-advantage weight, whose percentile is here 0, then 50."""
+    """Yang et al. 2022: gamma^(k-1), exp(A) and the best-advantage weight, whose percentile is 0 in the first update;
+    in a second state it is 50, of a ring of ten that seven advantages were written to before."""
     config = WgcslConfig(twins=twins, discount=0.6, input_limit=1.5, recent_advantages=10, percentile_rise=50.0)
     learned = Learned(wgcsl, config)
-    state = learned.state._replace(optimiser=learned.state.optimiser._replace(count=jnp.asarray(1, jnp.int32)))
-    _, metrics = wgcsl.update(config, state, learned.batch, learned.key, RATE)
+    ring = np.linspace(-3, 3, 10)
+    later = {"recent": jnp.asarray(ring), "seen": jnp.asarray(7, jnp.int32)}
+    state = learned.state._replace(optimiser=learned.state.optimiser._replace(count=jnp.asarray(1, jnp.int32)), **later)
+    after, metrics = wgcsl.update(config, state, learned.batch, learned.key, RATE)
     b, old, trailing = learned.b, learned.old, plain(learned.state.target)
     seen, next_seen = np.clip(b.state, -1.5, 1.5), np.clip(b.next_state, -1.5, 1.5)
     reward = np.array([0.0, 1, 0, 0, 1, 0])
@@ -384,11 +387,14 @@ def test_wgcsl(twins):
         error = ((ref.q(params.critic, seen, b.action) - target) ** 2).mean(-1).sum()
         return error + learned.regression(weight, np.tanh(ref.mlp(params.actor, seen)))
 
-    learned.check(loss)  # of the first update, whose percentile is 0: no advantage is poor
+    learned.check(loss)  # with a percentile of 0 no advantage is poor
     ref.check_trails(learned.state.target, learned.after.params, learned.after.target, config.target_rate)
-    poor = np.where(advantage >= np.percentile(advantage, 50), 1.0, 0.05)
-    assert float(metrics["weight"]) == pytest.approx((weight * poor).mean(), rel=1e-9)
     np.testing.assert_allclose(learned.after.recent[:ROWS], advantage, rtol=1e-9)
+    ring[[7, 8, 9, 0, 1, 2]] = advantage
+    np.testing.assert_allclose(after.recent, ring, rtol=1e-9)
+    poor = np.where(advantage >= np.percentile(ring, 50), 1.0, 0.05)
+    assert 0 < (poor == 1).sum() < ROWS
+    assert float(metrics["weight"]) == pytest.approx((weight * poor).mean(), rel=1e-9)
 
 
 @pytest.mark.parametrize("error", ["squared", "absolute"])
