@@ -59,6 +59,7 @@ _LOW_INPUTS = "test_guider.py::test_low_inputs_and_reward_by_hand"
 _CANDIDATES = "test_guider.py::test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses"
 _SUBSTITUTED = "test_guider.py::test_final_goal_is_substituted_only_within_reach"
 _PERIOD = "test_guider.py::test_a_new_subgoal_every_period"
+_BEGINS = "test_guider.py::test_a_new_subgoal_when_an_episode_begins"
 _REACHED = "test_guider.py::test_a_new_subgoal_as_soon_as_reached"
 _STALE_LATENT = "test_guider.py::test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen"
 _STARTS = "test_training.py::test_training_starts_where_it_is_told"
@@ -336,7 +337,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         (
             "scale.step_std if config.error_in_spreads",
             "scale.goal_std if config.error_in_spreads",
-            "test_guider.py::test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units",
+            _LATENT,
         ),
     ],
     "guider/methods/subgoal_policy.py": [
@@ -408,7 +409,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("values.argmax(axis=1)", "values.argmin(axis=1)", _CANDIDATES),
         ("near <= reach_radius, goal, subgoal", "near > reach_radius, goal, subgoal", _SUBSTITUTED),
         ("acting.steps_left <= 0)", "acting.steps_left <= 1)", _PERIOD),
-        ("reset_mask | (acting.steps_left", "(acting.steps_left", _PERIOD),
+        ("reset_mask | (acting.steps_left", "(acting.steps_left", _BEGINS),
         ('if config.replan == "reached":', 'if config.replan == "period":', _REACHED),
     ],
     "guider/methods/hiql.py": [
@@ -446,7 +447,6 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
     ],
     "guider/presets.py": [
         ("learner=_fast_learner(problem, learner),\n        ),", "learner=learner,\n        ),", _FIGURE_4),
-        ("override(learner, LEARNERS_FAST.get(learner.kind, {}) | changes)", "override(learner, changes)", _FIGURE_4),
     ],
     "guider/methods/flat.py": [
         ("(goal - achieved) / scale.goal_std if", "(goal - achieved) / scale.step_std if", "test_learners.py"),

@@ -143,6 +143,9 @@ def test_high_relabelling_by_hand():
     np.testing.assert_array_equal(seen.next_state, [[3, 0, np.float32(3.3), 0], [3, 0, 4, 0]])
     posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, now, later)
     np.testing.assert_array_equal(seen.latent, posterior.sample(jax.random.key(1)))
+    for prior, place in ((seen.prior, now), (seen.next_prior, later)):
+        expected = latent_subgoals.prior(state.latent.params, state.scale, place)
+        np.testing.assert_array_equal(prior.mean, expected.mean)
 
 
 def test_targets_start_as_copies_of_the_critics():
@@ -169,12 +172,13 @@ def constant_policy(**acting) -> Policy:
     return Policy(state, jnp.array([0.0, -2.0]), jnp.array([4.0, 2.0]), "guider", config, (0, 1), 4)
 
 
-def renewals(policy: Policy, positions) -> list[bool]:
-    """Whether the subgoal is new at each step; a subgoal is the position it was proposed at."""
+def renewals(policy: Policy, positions, resets=(0,)) -> list[bool]:
+    """Whether the subgoal is new at each step; a subgoal is the position it was proposed at. resets: steps at which an
+    episode begins."""
     acting, seen = initial_state(policy, 1), []
     for step, x in enumerate(positions):
         observation = jnp.array([[x, 0.0, 0.0, 0.0]])
-        actions, acting = act(policy, observation, jnp.array([[100.0, 0.0]]), acting, jnp.array([step == 0]))
+        actions, acting = act(policy, observation, jnp.array([[100.0, 0.0]]), acting, jnp.array([step in resets]))
         assert actions.tolist() == [[2.0, 0.0]], "zero network output is the middle of the action bounds"
         seen.append(float(acting.subgoal[0, 0]) == x)
     return seen
@@ -190,6 +194,10 @@ def test_a_new_subgoal_every_period():
         False,
         True,
     ]
+
+
+def test_a_new_subgoal_when_an_episode_begins():
+    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9], resets=(0, 2)) == [True, False, True, False, False, True]
 
 
 def test_a_new_subgoal_as_soon_as_reached():

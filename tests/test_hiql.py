@@ -84,6 +84,8 @@ def test_relative_goals_are_displacements_in_spreads_of_moves():
     given = jnp.zeros((1, 4)), jnp.array([[1.0, 2.0]]), jnp.array([[5.0, 0.0]])
     assert method.goal_inputs(small({"relative": True}), scale, *given).tolist() == [[0, 0, 0, 0, 1, -0.5]]
     assert method.goal_inputs(small({}), scale, *given).tolist() == [[0, 0, 0, 0, 0.5, 0]]
+    places = small({"subgoal": "place"})
+    assert method.name_subgoal(places, fresh(places).value.params, scale, *given).tolist() == [[1, -0.5]]
 
 
 def test_representation_has_length_root_of_its_dimension():

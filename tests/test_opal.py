@@ -136,14 +136,16 @@ def test_nothing_beyond_the_episode_gets_in(stride):
     [("squared", (0.25 + 1) / 2 + np.log(2 * np.pi)), ("absolute", 0.5 + 1 + 2 * np.log(2))],
 )
 def test_evidence_lower_bound_by_hand(counted, surprise):
-    """A decoder that answers a mean of 0 and a spread of 1, and actions of (0.5, 1): -log pi, summed over both, is the
-    same at every step, five in one window and three in the other; q = N(0, 1) and rho = N(1, 1) in three dimensions are
-    1.5 nats apart."""
+    """A decoder that answers a mean of 0.5 and a spread of 1, and actions of (0, -0.5): -log pi, summed over both, is
+    the same at every step, five in one window and three in the other; q = N(0, 1) and rho = N(1, 1) in three dimensions
+    are 1.5 nats apart."""
     config = small({"skills.beta": 0.2, "skills.regression.error": counted})
     params = jax.tree.map(jnp.zeros_like, fresh(config).skills.params)
     *hidden, (weight, bias) = params.prior
     params = params._replace(prior=(*hidden, (weight, bias.at[:3].set(1.0))))
-    given = window()._replace(actions=jnp.broadcast_to(jnp.array([0.5, 1.0]), (2, 5, 2)))
+    *hidden, (weight, bias) = params.decoder
+    params = params._replace(decoder=(*hidden, (weight, bias.at[:2].set(jnp.arctanh(0.5)))))
+    given = window()._replace(actions=jnp.broadcast_to(jnp.array([0.0, -0.5]), (2, 5, 2)))
     loss, metrics = method.skills_loss(config.skills, params, unit(), given, jax.random.key(0))
     assert float(loss) == pytest.approx((5 + 3) * surprise / 2 + 0.2 * 1.5)
     assert float(metrics["kl"]) == pytest.approx(1.5)

@@ -52,10 +52,10 @@ def normal(seed: int, *shape: int) -> jax.Array:
     return jnp.asarray(np.random.default_rng(seed).normal(size=shape))
 
 
-def shaken(tree: Any, seed: int = 9) -> Any:
-    """The same with 0.3 N(0, 1) added everywhere."""
+def shaken(tree: Any, seed: int = 9, spread: float = 0.3) -> Any:
+    """The same with `spread` N(0, 1) added everywhere."""
     rng = np.random.default_rng(seed)
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf + 0.3 * rng.normal(size=leaf.shape)), tree)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf + spread * rng.normal(size=leaf.shape)), tree)
 
 
 def plain(tree: Any) -> Any:
@@ -65,11 +65,19 @@ def plain(tree: Any) -> Any:
 # The latent model (Eq. 2-3)
 
 
-@pytest.mark.parametrize("dropout", [0.0, 0.4])
-def test_latent_model(dropout):
-    """-log p is the squared error in goal units, mean over dimensions, as is the KL, whose gradient Eq. 3 splits."""
-    config = LatentSubgoalsConfig(hidden=HIDDEN, beta=0.3, kl_balance=0.7, decoder_dropout=dropout, learning_rate=RATE)
-    one = jnp.ones(2)
+@pytest.mark.parametrize(("dropout", "in_spreads"), [(0.0, True), (0.4, False)])
+def test_latent_model(dropout, in_spreads):
+    """-log p is the squared error in goal units, or in spreads of moves, which are 3 here; a mean over dimensions, as
+    is the KL, whose gradient Eq. 3 splits."""
+    config = LatentSubgoalsConfig(
+        hidden=HIDDEN,
+        beta=0.3,
+        kl_balance=0.7,
+        decoder_dropout=dropout,
+        learning_rate=RATE,
+        error_in_spreads=in_spreads,
+    )
+    one, unit = jnp.ones(2), 3.0 if in_spreads else 1.0
     scale = Scale(one, one, 0 * one, one, 3 * one, jnp.zeros(0))
     state = latent_subgoals.init(jax.random.key(0), config, 2, 2)
     state = state._replace(params=shaken(state.params))
@@ -95,7 +103,7 @@ def test_latent_model(dropout):
         balanced = 0.7 * ref.kl(*posterior(frozen), *prior) + 0.3 * ref.kl(
             mean, std, *ref.gaussian(ref.mlp(frozen.prior, now))
         )
-        return (((decoded - later) ** 2).mean(-1) + 0.3 * balanced.mean(-1)).mean()
+        return ((((decoded - later) / unit) ** 2).mean(-1) + 0.3 * balanced.mean(-1)).mean()
 
     ref.check_first_step(state, after, loss, RATE)
     assert float(metrics["loss"]) == pytest.approx(loss(frozen), rel=1e-9)
@@ -111,7 +119,7 @@ class High:
         self.config = SubgoalPolicyConfig(**{"hidden": HIDDEN, "learning_rate": RATE, "samples": 3} | settings)
         state = subgoal_policy.init(jax.random.key(0), self.config, INPUTS, 2)
         params = shaken(state.params)._replace(log_alpha=jnp.asarray(0.4), log_lagrange=jnp.asarray(-0.3))
-        *below, (weights, biases) = shaken(params.critic, 8)
+        *below, (weights, biases) = shaken(params.critic, 8, spread=1.0)
         high = (*below, (weights, biases + 1.5))  # some targets lie above 0
         self.state = state._replace(params=params, target_critic=high)
         self.batch = subgoal_policy.Transitions(
@@ -159,7 +167,7 @@ class High:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"lagrange_threshold": 2.5},
+        {"lagrange_threshold": 2.5, "conservative_weight": 0.7},
         {"lagrange_threshold": 2.5, "prior": False, "temperature_loss": "log_alpha"},
         {"lagrange_threshold": None, "conservative_weight": 0.7, "backup": "max_of_min", "uniform_box": "per_entry"},
         {"lagrange_threshold": 2.5, "cap_targets": True},
@@ -189,6 +197,7 @@ def test_high_level_with_cql(settings):
 
     backed_up = ref.q_of_samples(high.target, b.next_state, next_latents)
     value = backed_up.max(-1).min(0) if config.backup == "min_of_max" else backed_up.min(0).max(-1)
+    assert (backed_up.max(-1).min(0) > backed_up.min(0).max(-1))[b.reward < 0].any(), "else the two backups are one"
     target = ref.td(b.reward, value, config.discount)
     if config.cap_targets:
         assert target.max() > 0, "else capping them shows nothing"
@@ -212,8 +221,9 @@ def test_high_level_with_cql(settings):
         error = ((ref.q(params.critic, b.state, b.latent) - target) ** 2).mean(-1).sum()
         if config.lagrange_threshold is None:
             return error + config.conservative_weight * gaps(params).sum()
-        multiplier = -np.exp(params.log_lagrange) * (old_gaps - config.lagrange_threshold).mean()
-        return error + np.exp(high.old.log_lagrange) * gaps(params).sum() + multiplier
+        weight = config.conservative_weight
+        multiplier = -np.exp(params.log_lagrange) * (weight * old_gaps - config.lagrange_threshold).mean()
+        return error + np.exp(high.old.log_lagrange) * weight * gaps(params).sum() + multiplier
 
     high.check(critic_loss)
     assert float(high.metrics["conservative_gap"]) == pytest.approx(old_gaps.mean(), rel=1e-9)
