@@ -10,7 +10,7 @@ from guider.files import write_json
 from tools import results
 
 
-def result(scores: list[list[float]], ending: str) -> dict:
+def result(scores: list[list[float]], ending: str, processor: str = "a processor") -> dict:
     per_seed = [
         {
             "score": sum(of_seed) / len(of_seed),
@@ -20,7 +20,7 @@ def result(scores: list[list[float]], ending: str) -> dict:
         }
         for of_seed in scores
     ]
-    facts = {"acts_by": "mean", "updates": {"low": 5}, "evaluated_on": "a processor", "commands": ["guider one", "two"]}
+    facts = {"acts_by": "mean", "updates": {"low": 5}, "evaluated_on": processor, "commands": ["guider one", "two"]}
     return facts | {"per_seed": per_seed}
 
 
@@ -32,14 +32,18 @@ def test_tables_by_hand(tmp_path):
     """Four runs of two episodes: 100, 50, 50 and 0 % succeed; one of the failures fell, three were stuck."""
     (tmp_path / "antmaze-large-diverse").mkdir()
     write_json(tmp_path / "antmaze-large-diverse" / "guider-fast-7.json", result([[100, 100], [100, 0]], "fell"))
-    write_json(tmp_path / "antmaze-large-diverse" / "guider-fast-8.json", result([[0, 100], [0, 0]], "stuck"))
+    write_json(
+        tmp_path / "antmaze-large-diverse" / "guider-fast-8.json", result([[0, 100], [0, 0]], "stuck", "another")
+    )
     table = results.tables(tmp_path)["antmaze"]
     row = table.splitlines()[2]
     assert re.sub(r"\(.*?\)", "()", row) == (
         "| antmaze-large-diverse | `guider collect`, data seeds 7, 8 | 100, 50; 50, 0 | **50.0** () | 2 x 2, 8 | "
         "1 / 3 / 0 of 8 | 25.0 / 0.0 |"
     )
-    assert table.endswith("```\nguider one\ntwo\n```") and "acts by the mean" in table.lower()
+    assert (
+        table.endswith("```\nguider one\ntwo\n```") and "Acts by the mean. Processors: a processor; another." in table
+    )
     short = results.tables(tmp_path)["headline"].splitlines()[2]
     assert re.sub(r"\(.*?\)", "()", short) == "| antmaze-large-diverse | **50.0** () | 2 x 2, 8 | 1 / 3 / 0 of 8 |"
     document = "a\n<!-- table antmaze -->\nold\n<!-- end -->\nb\n"

@@ -116,8 +116,10 @@ def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
     header = columns or tuple(cells[0])
     lines = [header, ["---"] * len(header), *([row[name] for name in header] for row in cells)]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    last = rows[-1].results[-1]
-    facts = f"Acts by the {last['acts_by']}. Processor: {last['evaluated_on']}. The commands of the last run:"
+    results = [result for row in rows for result in row.results]
+    acts, processors = ("; ".join(sorted({result[name] for result in results})) for name in ("acts_by", "evaluated_on"))
+    last = results[-1]
+    facts = f"Acts by the {acts}. Processors: {processors}. The commands of the last run:"
     return f"{table}\n\n{facts}\n\n```\n" + "\n".join(last["commands"]) + "\n```"
 
 
