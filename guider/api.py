@@ -17,7 +17,7 @@ from guider import processor, runs
 from guider.config import differences, override
 from guider.episodes import IN_MEMORY, Episodes
 from guider.errors import GuiderError, GuiderWarning
-from guider.evaluation import Rollouts, bootstrap_interval, rollout, wilson_interval
+from guider.evaluation import Rollouts, bootstrap_interval, rollout, success_interval
 from guider.files import user_path
 from guider.heldout import held_out_scores
 from guider.methods import METHODS
@@ -419,19 +419,18 @@ def _in_maze(
 
 
 def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:
-    """The task's score, per seed and over seeds: Wilson's interval for one seed's success rate, else bootstrap's."""
+    """The task's score, per seed and over seeds."""
     scores = np.stack([outcome.score for outcome in outcomes])
     means, count = scores.mean(axis=1), scores.shape[1]
 
-    def interval(outcome: Rollouts) -> list[float]:
-        if task.score == "success":
-            return [round(100 * bound, 1) for bound in wilson_interval(int(outcome.success.sum()), count)]
-        return [round(bound, 1) for bound in bootstrap_interval(outcome.score[None])]
+    def interval(scores: np.ndarray) -> list[float]:
+        bounds = success_interval(scores > 0) if task.score == "success" else bootstrap_interval(scores)
+        return [round(bound, 1) for bound in bounds]
 
     per_seed = [
         {
             "score": float(outcome.score.mean()),
-            "interval_95": interval(outcome),
+            "interval_95": interval(outcome.score[None]),
             "goal_met_percent": float(100 * outcome.success.mean()),
             "median_steps_when_met": float(np.median(outcome.steps[outcome.success]))
             if outcome.success.any()
@@ -453,7 +452,7 @@ def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str,
         "unit": SCORE_UNITS[task.score],
         "score": float(means.mean()),
         "score_std_over_seeds": float(means.std()),  # of these seeds, ddof 0
-        "interval_95": [round(bound, 1) for bound in bootstrap_interval(scores)],
+        "interval_95": interval(scores),
         "per_seed": per_seed,
         "paper_score": task.paper_score,
     }

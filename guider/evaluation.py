@@ -159,3 +159,15 @@ def bootstrap_interval(scores: np.ndarray, resamples: int = 2000) -> tuple[float
     means = scores[chosen, rng.integers(episodes, size=(resamples, seeds, episodes))].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
+
+
+def success_interval(success: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a success rate over seeds, in percent: bootstrap's, which knows that seeds differ.
+
+    Wilson's where there is nothing to resample: one seed, or outcomes that are all alike, whose bootstrap has no width.
+    success: [seeds, episodes] bool.
+    """
+    if len(success) > 1 and 0 < success.mean() < 1:
+        return bootstrap_interval(100.0 * success)
+    low, high = wilson_interval(int(success.sum()), success.size)
+    return 100 * low, 100 * high

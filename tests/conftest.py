@@ -15,6 +15,8 @@ os.environ.setdefault(
     str(Path(__file__).parent.parent / ".jax_cache" / os.environ.get("PYTEST_XDIST_WORKER", "alone")),
 )
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+# Nearly all of a test's time goes into compiling programs that run for moments: optimise them less.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")
 
 from guider.config import flatten, override, to_dict
 from guider.episodes import Episodes, make_episodes

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.evaluation import bootstrap_interval, rollout, wilson_interval
+from guider.evaluation import bootstrap_interval, rollout, success_interval, wilson_interval
 from guider.tasks import find_task
 
 PATHS = np.array(
@@ -114,6 +114,15 @@ def test_wilson_interval_is_that_of_published_tables():
     }
     for counts, interval in published.items():
         assert wilson_interval(*counts) == pytest.approx(interval, abs=5e-5)
+
+
+def test_success_interval_resamples_seeds_and_never_claims_certainty():
+    """Twenty of twenty by Wilson: 20 / (20 + 1.96^2) = 83.9 % at least."""
+    assert success_interval(np.ones((2, 10), bool)) == pytest.approx((83.89, 100), abs=0.01)
+    assert success_interval(np.zeros((2, 10), bool)) == pytest.approx((0, 16.11), abs=0.01)
+    one = np.array([[True] * 3 + [False]])
+    assert success_interval(one) == pytest.approx(tuple(100 * bound for bound in wilson_interval(3, 4)))
+    assert success_interval(np.array([[False] * 30, [True] * 30])) == (0, 100)  # Wilson's would be 38 to 62
 
 
 def test_bootstrap_interval_is_that_of_the_mean():

@@ -20,7 +20,7 @@ import numpy as np
 
 from guider import runs
 from guider.config import differences
-from guider.evaluation import bootstrap_interval
+from guider.evaluation import success_interval
 from guider.files import parse_json, write_json, write_text
 from guider.presets import Preset, preset_config
 from guider.problem import Problem
@@ -77,7 +77,7 @@ class Row:
     def cells(self) -> dict[str, str]:
         """By column: success of each run and seed, mean and interval, endings of failures, shares of subgoals."""
         scores = np.array([seed["episodes"]["score"] for seed in self.seeds])
-        low, high = bootstrap_interval(scores)
+        low, high = success_interval(scores > 0)
         endings = [ending for seed in self.seeds for ending in seed["episodes"]["ending"]]
         causes = " / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time"))
         in_walls, off_data = (
