@@ -423,8 +423,8 @@ def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str,
     scores = np.stack([outcome.score for outcome in outcomes])
     means, count = scores.mean(axis=1), scores.shape[1]
 
-    def interval(scores: np.ndarray) -> list[float]:
-        bounds = success_interval(scores > 0) if task.score == "success" else bootstrap_interval(scores)
+    def interval(of_seeds: np.ndarray) -> list[float]:
+        bounds = success_interval(of_seeds > 0) if task.score == "success" else bootstrap_interval(of_seeds)
         return [round(bound, 1) for bound in bounds]
 
     per_seed = [
