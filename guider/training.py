@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -115,7 +115,7 @@ def train(
     """
     keys = seed_keys(seeds)
     for index in range(start.stage, len(stages)):
-        stage = stages[index]
+        stage = replace(stages[index], update=jax.jit(stages[index].update))  # traced once, not at every use
         done = start.update if index == start.stage else 0
         if done == 0 and (part := known(index, state)) is not None:
             state = state._replace(**{stage.part: part})
@@ -125,7 +125,7 @@ def train(
         slice_updates = 1
         while done < stage.updates:
             first, last = done, min(stage.updates, (done // chunk_updates + 1) * chunk_updates)
-            sums, seconds = no_sums(stage, state, data, keys), 0.0
+            sums, seconds = jax.tree.map(jnp.zeros_like, sums), 0.0
             while done == first or (done < last and not stop()):
                 until = min(last, done + slice_updates)
                 began = time.perf_counter()

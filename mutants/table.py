@@ -51,6 +51,8 @@ _CQL = "test_updates.py::test_cql"
 _HIQL_VALUE = "test_hiql.py::test_value_targets_masks_and_expectile_by_hand"
 _HIQL_RETURN = "test_hiql.py::test_returns_of_several_steps_by_hand"
 _HIQL_LEVELS = "test_hiql.py::test_each_level_weighs_its_own_advantage"
+_HIQL_STEP = "test_rivals.py::test_hiql_value"
+_OPAL_STEP = "test_rivals.py::test_opal_skills"
 _ELBO = "test_opal.py::test_evidence_lower_bound_by_hand"
 _SKILLS = "test_opal.py::test_high_transitions_by_hand"
 _SKILL_TIME = "test_opal.py::test_a_new_skill_every_period_and_at_resets"
@@ -434,6 +436,22 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
             "test_hiql.py::test_representation_has_length_root_of_its_dimension",
         ),
         ("(place - achieved) / scale.step_std", "(place - achieved) / scale.goal_std", "test_hiql.py"),
+        (
+            "target_params, scale, batch.end_observation, batch.end,",
+            "params, scale, batch.end_observation, batch.end,",
+            _HIQL_STEP,
+        ),
+        (
+            "normalised(layer_norm_mlp(params.representation, seen))",
+            "normalised(mlp(params.representation, seen))",
+            _HIQL_STEP,
+        ),
+        (
+            "batch.next_observation, batch.next_achieved, batch.ahead)",
+            "batch.ahead_observation, batch.ahead, batch.ahead)",
+            "test_rivals.py::test_hiql_low_level",
+        ),
+        ("trail(old.target, params, settings.target_rate)", "old.target", _HIQL_STEP),
     ],
     "guider/methods/opal.py": [
         (
@@ -445,6 +463,13 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("jnp.where(window.valid, surprise, 0.0).sum", "jnp.where(window.valid, surprise, 0.0).mean", _ELBO),
         ("window.observations[:, 0])).sum(axis=-1)", "window.observations[:, 0])).mean(axis=-1)", _ELBO),
         ("missing + config.beta * kl", "missing - config.beta * kl", _ELBO),
+        ("entries, valid, reverse=True)", "entries, valid)", _OPAL_STEP),
+        ("posterior.sample(sample_key)[:, None]", "posterior.mean[:, None]", _OPAL_STEP),
+        (
+            "prior(params, scale, window.observations[:, 0])",
+            "prior(params, scale, window.observations[:, -1])",
+            _OPAL_STEP,
+        ),
         ("reward=losses.goal_reward(batch.later,", "reward=losses.goal_reward(batch.achieved,", _SKILLS),
         ("jnp.where(renew, config.skill_steps,", "jnp.where(renew, config.problem.period_steps,", _SKILL_TIME),
     ],

@@ -16,7 +16,7 @@ from guider.methods import hiql as method
 from guider.methods.hiql import HiqlConfig
 from guider.methods.view import Scale, prepare
 from guider.networks import layer_norm_mlp
-from guider.policy import Policy, compiled_act, initial_state
+from guider.policy import Policy
 from guider.presets import Changes, hiql_config
 from guider.problem import Problem
 from guider.samplers import ValueBatch, WaypointBatch, device_data, sample_value, sample_waypoints
@@ -39,22 +39,6 @@ def fresh(config: HiqlConfig) -> method.HiqlState:
 
 def unit() -> Scale:
     return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
-
-
-def test_every_part_learns_in_its_stage_only_and_acts():
-    config, episodes = small({}), make_ragged()
-    data, scale = prepare(config.view, config.problem, episodes)
-    state = jax.jit(lambda key: method.init(config, episodes.spaces, scale, key))(jax.random.key(0))
-    assert [stage.part for stage in method.stages(config)] == ["value", "high", "low"]
-    for stage in method.stages(config):
-        part, metrics = jax.jit(stage.update)(state, data, jax.random.key(1))
-        moved = jax.tree.map(jnp.array_equal, part.params, getattr(state, stage.part).params)
-        assert not any(jax.tree.leaves(moved)), f"{stage.name} did not learn"
-        assert all(bool(jnp.isfinite(value)) for value in metrics.values())
-        state = state._replace(**{stage.part: part})
-    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "hiql", config, (0, 1), 4)
-    actions, _ = compiled_act(policy, jnp.zeros((3, 4)), jnp.ones((3, 2)), initial_state(policy, 3), jnp.ones(3, bool))
-    assert actions.shape == (3, 2) and bool(jnp.all(jnp.abs(actions) <= 1))
 
 
 def test_paper_settings_and_faults():

@@ -49,22 +49,6 @@ def fresh(config: OpalConfig) -> method.OpalState:
     return jax.jit(lambda key: method.init(config, make_ragged().spaces, unit(), key))(jax.random.key(0))
 
 
-def test_every_part_learns_in_its_stage_only_and_acts():
-    config, episodes = small({}), make_ragged()
-    data, scale = prepare(config.view, config.problem, episodes)
-    state = jax.jit(lambda key: method.init(config, episodes.spaces, scale, key))(jax.random.key(0))
-    assert [stage.part for stage in method.stages(config)] == ["skills", "high"]
-    for stage in method.stages(config):
-        part, metrics = jax.jit(stage.update)(state, data, jax.random.key(1))
-        moved = jax.tree.map(jnp.array_equal, part.params, getattr(state, stage.part).params)
-        assert not all(jax.tree.leaves(moved)), f"{stage.name} did not learn"
-        assert all(bool(jnp.isfinite(value)) for value in metrics.values())
-        state = state._replace(**{stage.part: part})
-    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "opal", config, (0, 1), 4)
-    actions, _ = compiled_act(policy, jnp.zeros((3, 4)), jnp.ones((3, 2)), initial_state(policy, 3), jnp.ones(3, bool))
-    assert actions.shape == (3, 2) and bool(jnp.all(jnp.abs(actions) <= 1))
-
-
 def test_paper_settings_and_faults():
     paper = opal_config("paper", Problem())
     assert paper == OpalConfig() and from_dict(OpalConfig, to_dict(paper)) == paper

@@ -47,6 +47,12 @@ SETTINGS = {
     "low.batch_size": "16",
 }
 OWN: dict[str, Any] = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": SETTINGS}
+BC: dict[str, Any] = {
+    "goal_indices": (0, 1),
+    "radius": 0.5,
+    "method": "bc",
+    "settings": {"updates": 12, "hidden": (8,), "batch_size": 16},
+}
 
 
 def write_plain(path: Path, seed: int = 0) -> Path:
@@ -58,6 +64,21 @@ def write_plain(path: Path, seed: int = 0) -> Path:
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
     return write_plain(tmp_path / "logs.npz")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, runs.Run]:
+    """(logs, a run of twelve updates with checkpoints after 9 and 12)."""
+    folder = tmp_path_factory.mktemp("finished")
+    logs = write_plain(folder / "logs.npz")
+    return logs, guider.train(data=logs, out=folder / "run", pace=runs.Pace(3, 0.0), **BC)
+
+
+@pytest.fixture
+def copy(finished, tmp_path) -> runs.Run:
+    """A copy of that run, to be spoiled."""
+    shutil.copytree(finished[1].directory, tmp_path / "copy")
+    return runs.open_run(tmp_path / "copy")
 
 
 def final_state(run: runs.Run):
@@ -147,11 +168,10 @@ def test_a_checkpoint_holds_the_whole_state(ragged, tmp_path, preset):
         np.testing.assert_array_equal(a, b)
 
 
-def test_resuming_a_finished_run_changes_nothing(logs, tmp_path):
-    run = guider.train(data=logs, out=tmp_path / "run", **OWN)
-    before = final_state(run)
-    guider.resume(tmp_path / "run")
-    for a, b in zip(before, final_state(run), strict=True):
+def test_resuming_a_finished_run_changes_nothing(copy):
+    before = final_state(copy)
+    guider.resume(copy.directory)
+    for a, b in zip(before, final_state(copy), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -164,21 +184,19 @@ def test_an_existing_run_is_never_overwritten(logs, tmp_path):
         guider.train(data=logs, out=tmp_path / "run", **OWN)
 
 
-def test_resuming_on_other_data_is_refused(logs, tmp_path):
-    guider.train(data=logs, out=tmp_path / "run", **OWN)
+def test_resuming_on_other_data_is_refused(copy, tmp_path):
     other = write_plain(tmp_path / "other.npz", seed=1)
     with pytest.raises(GuiderError, match=r"is not the data .* was trained on"):
-        guider.resume(tmp_path / "run", other)
+        guider.resume(copy.directory, other)
 
 
-def test_a_checkpoint_of_another_config_is_refused(logs, tmp_path):
-    guider.train(data=logs, out=tmp_path / "run", **OWN)
-    path = tmp_path / "run" / "run.json"
+def test_a_checkpoint_of_another_config_is_refused(copy):
+    path = copy.directory / "run.json"
     values = json.loads(path.read_text())
-    values["config"]["low"]["hidden"] = [9]
+    values["config"]["hidden"] = [9]
     runs.write_json(path, values)
     with pytest.raises(GuiderError, match="does not fit this run's config"):
-        guider.load(tmp_path / "run")
+        guider.load(copy.directory)
 
 
 @pytest.mark.parametrize(
@@ -187,16 +205,15 @@ def test_a_checkpoint_of_another_config_is_refused(logs, tmp_path):
         (lambda v: v | {"run_format": 99}, "another version"),
         (lambda v: v | {"method": "magic"}, "names the method 'magic'"),
         (lambda v: v | {"config": v["config"] | {"perod": 3}}, "config has no setting 'perod'; did you mean"),
-        (lambda v: v | {"config": v["config"] | {"replan": "never"}}, "must be one of period, reached"),
+        (lambda v: v | {"config": v["config"] | {"precision": "half"}}, "must be one of auto, float32"),
         (lambda v: {k: x for k, x in v.items() if k != "seeds"}, "lacks the setting 'seeds'"),
     ],
 )
-def test_a_damaged_run_is_explained(logs, tmp_path, change, message):
-    guider.train(data=logs, out=tmp_path / "run", **OWN)
-    path = tmp_path / "run" / "run.json"
+def test_a_damaged_run_is_explained(copy, change, message):
+    path = copy.directory / "run.json"
     runs.write_json(path, change(json.loads(path.read_text())))
     with pytest.raises(GuiderError, match=message):
-        runs.open_run(tmp_path / "run")
+        runs.open_run(copy.directory)
 
 
 def test_what_is_no_run_is_explained(tmp_path):
@@ -256,28 +273,6 @@ def test_own_data_needs_a_goal(logs, tmp_path):
 
 
 # One writer, in one place, that ends in order
-
-BC: dict[str, Any] = {
-    "goal_indices": (0, 1),
-    "radius": 0.5,
-    "method": "bc",
-    "settings": {"updates": 12, "hidden": (8,), "batch_size": 16},
-}
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory) -> tuple[Path, runs.Run]:
-    """(logs, a run of twelve updates with checkpoints after 9 and 12)."""
-    folder = tmp_path_factory.mktemp("finished")
-    logs = write_plain(folder / "logs.npz")
-    return logs, guider.train(data=logs, out=folder / "run", pace=runs.Pace(3, 0.0), **BC)
-
-
-@pytest.fixture
-def copy(finished, tmp_path) -> runs.Run:
-    """A copy of that run, to be spoiled."""
-    shutil.copytree(finished[1].directory, tmp_path / "copy")
-    return runs.open_run(tmp_path / "copy")
 
 
 def names(directory: Path) -> list[str]:
