@@ -1,5 +1,7 @@
 """The container: what it refuses, and that taking parts of it loses nothing."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -203,6 +205,17 @@ def test_rounding_does_not_widen_the_bounds():
 def test_spaces_hold_what_is_seen_of_each_entry():
     observations = np.zeros((4, 3))
     observations[:, 0], observations[:, 2] = [1, 5, 3, 2], 7
-    goals = np.array([[9.0], [1], [1], [1]])
+    goals = np.array([[9.0], [1], [1], [-2]])
     spaces = make_episodes(observations, np.zeros((4, 1)), [4], (0,), goals=goals).spaces
-    assert spaces.state_low == (1, 0, 7) and spaces.state_high == (9, 0, 7)
+    assert spaces.state_low == (-2, 0, 7) and spaces.state_high == (9, 0, 7)
+
+
+@pytest.mark.parametrize("varies_by", [1.0, 1000.0])
+def test_coarse_numbers_are_told_where_they_lose_a_share_of_how_they_vary(varies_by):
+    """Around 541,193 float32 knows steps of 1/16: up to 3 % of 1 is lost, and next to nothing of 1000."""
+    observations = np.random.default_rng(0).uniform(541_193, 541_193 + varies_by, (50, 2))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        make_episodes(observations, np.zeros((50, 1)), [50], (0, 1))
+    assert len(caught) == (2 if varies_by == 1.0 else 0)
+    assert all("only steps of 0.062" in str(warning.message) for warning in caught)

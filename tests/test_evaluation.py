@@ -72,6 +72,7 @@ def scored(score, parts, monkeypatch, episodes=2):
         ("return", (), [0, 2], [False, True], [4, 2], [4, 4]),
         ("subtasks", ((0,), (1,)), [100, 100], [True, True], [3, 2], [3, 2]),
         ("return", ((0,),), [2, 3], [True, True], [1, 2], [4, 4]),
+        ("return", ((0,), (1,)), [0, 2], [False, True], [4, 2], [4, 4]),
     ],
 )
 def test_scores_by_hand(score, parts, scores, success, steps, taken, monkeypatch):

@@ -95,8 +95,10 @@ def test_no_sample_crosses_an_episode(lengths, period, boundary, seed):
         high = sample_high(data, key, 256, period, offset, 1.0, 0.0)
         episode = np.asarray(high.achieved[:, 0], int)
         goal = np.asarray(high.goal[:, 1])
-        assert np.array_equal(high.goal[:, 0], episode)
-        assert np.all(goal >= np.minimum(np.asarray(high.later[:, 1]) + offset, last[episode]))
+        start, later = np.asarray(high.achieved[:, 1]), np.asarray(high.later[:, 1])
+        assert np.array_equal(high.goal[:, 0], episode) and np.array_equal(high.later[:, 0], episode)
+        assert np.array_equal(later, np.minimum(start + period, last[episode]))
+        assert np.all(goal >= np.minimum(later + offset, last[episode]))
         assert np.all(goal <= last[episode])
 
     low = sample_low(data, key, 256, period, 1, 1.0, 0.0)

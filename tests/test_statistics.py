@@ -59,9 +59,10 @@ def test_point_estimates_are_those_of_rliable():
 
 
 def test_the_interval_is_that_of_the_exact_bootstrap_distribution():
-    """Resampled means of ten runs, half of them 1, are Binomial(10, 1/2) / 10, whose quantiles are 2 and 8."""
-    runs = np.repeat([0.0, 1.0], 5)[:, None]
-    assert stratified_bootstrap_interval(task_means, runs) == (0.2, 0.8)
+    """Resampled means of sixteen runs, half of them 1, are Binomial(16, 1/2) / 16; 1.1 % of it lies below 4, 3.8 % up
+    to 4."""
+    runs = np.repeat([0.0, 1.0], 8)[:, None]
+    assert stratified_bootstrap_interval(task_means, runs) == (4 / 16, 12 / 16)
 
 
 def test_runs_are_resampled_within_their_task_and_each_method_apart():
@@ -71,6 +72,9 @@ def test_runs_are_resampled_within_their_task_and_each_method_apart():
     # The better of two runs is drawn by both, one or no draw; each draw pairs with any of the other method's.
     low, high = stratified_bootstrap_interval(probability_of_improvement, *[np.array([[0.0], [1.0]])] * 2)
     assert (low, high) == (0, 1)
+    # A task's runs are compared with that task's.
+    tasks = np.tile(np.arange(5.0), (3, 1))
+    assert stratified_bootstrap_interval(probability_of_improvement, tasks + 0.5, tasks) == (1, 1)
 
 
 def test_the_interval_of_many_tasks_is_narrower_by_their_root():
