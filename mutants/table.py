@@ -23,6 +23,7 @@ class Mutation:
 
 _REPORTED = "test_reproduce.py::test_the_table_says_mean_and_deviation_beside_the_papers"
 _PROTOCOL = "test_reproduce.py::test_the_protocol_is_stated"
+_KEPT = "test_samplers.py::test_subgoals_that_are_kept_were_chosen_up_to_a_period_ago_in_the_same_episode"
 _CROSSES = "test_samplers.py::test_no_sample_crosses_an_episode"
 _FLAT_GOALS = "test_learners.py::test_flat_goals_come_from_ahead_in_their_own_episode"
 
@@ -159,7 +160,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("rows.shape, earliest, rows + 1)", "rows.shape, earliest, rows)", "test_samplers.py"),
         ("chosen_at=data.achieved[chosen_at]", "chosen_at=data.achieved[rows]", "test_samplers.py"),
         ("_goals(data, goal_key, subgoal_rows, last", "_goals(data, goal_key, rows + 1, last", "test_samplers.py"),
-        ("subgoal_steps=subgoal_rows - rows", "subgoal_steps=last - rows", "test_samplers.py"),
+        ("subgoal_steps=subgoal_rows - rows", "subgoal_steps=last - rows", _KEPT),
         ("        rows + 1,\n        data.last_row", "        rows,\n        data.last_row", _FLAT_GOALS),
         ("steps=jnp.where(goal_rows < 0, -1, goal_rows - rows)", "steps=goal_rows - rows", "test_learners.py"),
         ("random_goal_fraction / others if", "random_goal_fraction if", _SHARES),
@@ -508,7 +509,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("/ self.cell_size_m + 1.5", "/ self.cell_size_m + 1.0", "test_mazes.py"),
         ("np.clip(cells, 0, np.array(self.walls.shape) - 1)", "cells", "test_mazes.py"),
         ("distances[current] + 1", "distances[current] + 2", "test_mazes.py"),
-        ("not self.walls[neighbour] and distances", "distances", "test_mazes.py"),
+        ("distances = np.full(self.walls.shape, -1)", "distances = np.full(self.walls.shape, -2)", "test_mazes.py"),
         ("self.free_cells - wall).sum(axis=1)", "self.free_cells - wall).max(axis=1)", "test_mazes.py"),
         ("(row, column + 1), (row, column - 1),", "(row, column - 1), (row, column + 1),", "test_mazes.py"),
         ("(LARGE_LAYOUT, (7, 9))", "(LARGE_LAYOUT, (7, 10))", "test_mazes.py"),
@@ -518,11 +519,6 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
     ],
     "guider/tasks/simulation.py": [
         ("np.asarray(actions, float)[rows])", "np.asarray(actions, float)[: len(rows)])", _STAY),
-        (
-            "np.clip(actions, low, high)",
-            "actions",
-            "test_pointmaze.py::test_actions_beyond_the_motors_range_are_clipped",
-        ),
         ("np.asarray(trajectories)[:, -1]", "np.asarray(trajectories)[:, 0]", _SPEED),
         ("default_rng(int(seed))", "default_rng(0)", _SEEDED),
         ("rows = np.flatnonzero(active)", "rows = np.arange(self.count)", _STAY),

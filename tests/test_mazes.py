@@ -113,7 +113,8 @@ def test_a_drawn_maze_is_read_as_drawn(tmp_path):
     assert maze.route_cells == 7  # 5 to the right and 2 up
     in_digits = "\ufeff" + DRAWN.replace("#", "1").replace(".", "0").replace("\n", "  \r\n") + "\n\n"
     assert read_maze(draw(tmp_path, in_digits), 2.0) == maze
-    assert read_maze(draw(tmp_path, DRAWN.replace("#.....##", "#......#")), 2.0).name != maze.name
+    for change in (("#.....##", "#......#"), ("#S.#", "#.S#"), ("#..G#", "#G..#")):
+        assert read_maze(draw(tmp_path, DRAWN.replace(*change)), 2.0).name != maze.name
 
 
 @pytest.mark.parametrize(

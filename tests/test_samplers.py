@@ -118,6 +118,7 @@ def test_subgoals_that_are_kept_were_chosen_up_to_a_period_ago_in_the_same_episo
     low = sample_low(data, jax.random.key(1), 200_000, 4, 4, 1.0, 0.0)
     now, chosen, subgoal = (np.asarray(x[:, 1], int) for x in (low.achieved, low.chosen_at, low.subgoal))
     assert np.array_equal(low.chosen_at[:, 0], low.achieved[:, 0])
+    assert np.array_equal(low.subgoal_steps, subgoal - now)
     ages = now - chosen
     np.testing.assert_allclose(counts(ages[now >= 3], 4), 1 / 4, atol=0.01)
     np.testing.assert_allclose(counts(ages[now == 1], 4), [1 / 2, 1 / 2, 0, 0], atol=0.02)

@@ -29,7 +29,7 @@ class MujocoVectorEnv:
     observation determines what follows, and a copy's trajectory depends neither on the other copies nor on
     the number of cores. The stepping itself is MuJoCo's rollout: C++ threads, one per core.
 
-    model:        without activations or plugins, so that (time, qpos, qvel) is its whole state
+    model:        without activations or plugins, so that (time, qpos, qvel) is its whole state; its motors limited
     frame_skip:   simulation steps per environment step
     sample_start: draws a copy's start; given np.random.default_rng(seed) of that copy
     """
@@ -72,7 +72,7 @@ class MujocoVectorEnv:
     def step(self, actions: np.ndarray, active: np.ndarray) -> np.ndarray:
         """Advance the copies where `active` by one environment step; the others stay as they are.
 
-        actions: [count, nu], clipped to the actuators' range; active: [count] bool.
+        actions: [count, nu], which MuJoCo clips to the actuators' range; active: [count] bool.
         Returns observations [count, nq + nv] float32.
         """
         rows = np.flatnonzero(active)
@@ -86,8 +86,7 @@ class MujocoVectorEnv:
         self._data.clear()
 
     def _advance(self, states: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        low, high = self._model.actuator_ctrlrange.T
-        controls = np.repeat(np.clip(actions, low, high)[:, None], self._frame_skip, axis=1)
+        controls = np.repeat(actions[:, None], self._frame_skip, axis=1)
         trajectories, _ = self._pool.rollout(
             self._model, self._data, states, controls, sensordata=self._no_sensors[: len(states)]
         )
