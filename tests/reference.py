@@ -31,6 +31,32 @@ def mlp(layers, x, activation=relu):
     return x @ weights + biases
 
 
+def layer_norm_mlp(layers, x):
+    def standardised_gelu(outputs):
+        hidden = gelu(outputs)
+        centred = hidden - hidden.mean(-1, keepdims=True)
+        return centred / np.sqrt((centred**2).mean(-1, keepdims=True) + 1e-5)
+
+    return mlp(layers, x, standardised_gelu)
+
+
+def gru(weights, entries, counts):
+    """The state after a window, read from its first entry to its last."""
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    hidden = np.zeros((len(entries), len(weights.candidate_bias)))
+    for step in range(entries.shape[1]):
+        seen = np.split(entries[:, step] @ weights.from_input + weights.bias, 3, -1)
+        kept = np.split(hidden @ weights.from_hidden, 3, -1)
+        reset, update = sigmoid(seen[0] + kept[0]), sigmoid(seen[1] + kept[1])
+        candidate = np.tanh(seen[2] + reset * (kept[2] + weights.candidate_bias))
+        after = update * hidden + (1 - update) * candidate
+        hidden = np.where(counts[:, step, None], after, hidden)
+    return hidden
+
+
 def twin(layers, index):
     return tuple((weights[index], biases[index]) for weights, biases in layers)
 

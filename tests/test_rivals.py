@@ -59,15 +59,6 @@ def update(stages: tuple[Stage, ...], name: str, state: Any) -> tuple[Any, dict[
 # HIQL (Park et al. 2023)
 
 
-def layer_norm_mlp(layers, x):
-    def standardised_gelu(outputs):
-        hidden = ref.gelu(outputs)
-        centred = hidden - hidden.mean(-1, keepdims=True)
-        return centred / np.sqrt((centred**2).mean(-1, keepdims=True) + 1e-5)
-
-    return ref.mlp(layers, x, standardised_gelu)
-
-
 class Hiql:
     """A state whose parts are shaken apart, and what its losses are made of."""
 
@@ -96,13 +87,13 @@ class Hiql:
 
     def phi(self, params, observation, place):
         """At length sqrt(3)."""
-        vector = layer_norm_mlp(params.representation, self.seen(observation, place))
+        vector = ref.layer_norm_mlp(params.representation, self.seen(observation, place))
         return vector / np.linalg.norm(vector, axis=-1, keepdims=True) * np.sqrt(3)
 
     def values(self, params, observation, place):
         """[2, B]."""
         seen = np.concatenate([self.scale.state(observation), self.phi(params, observation, place)], -1)
-        return np.stack([layer_norm_mlp(ref.twin(params.twins, i), seen)[:, 0] for i in range(2)])
+        return np.stack([ref.layer_norm_mlp(ref.twin(params.twins, i), seen)[:, 0] for i in range(2)])
 
     def weight(self, settings, begin, end, place):
         """exp(A / temperature) up to the ceiling, A by the mean of the twins."""
@@ -187,23 +178,6 @@ def test_hiql_low_level(squash):
 # OPAL (Ajay et al. 2021)
 
 
-def gru(weights, entries, counts):
-    """The state after a window, read from its first entry to its last."""
-
-    def sigmoid(x):
-        return 1 / (1 + np.exp(-x))
-
-    hidden = np.zeros((len(entries), len(weights.candidate_bias)))
-    for step in range(entries.shape[1]):
-        seen = np.split(entries[:, step] @ weights.from_input + weights.bias, 3, -1)
-        kept = np.split(hidden @ weights.from_hidden, 3, -1)
-        reset, update = sigmoid(seen[0] + kept[0]), sigmoid(seen[1] + kept[1])
-        candidate = np.tanh(seen[2] + reset * (kept[2] + weights.candidate_bias))
-        after = update * hidden + (1 - update) * candidate
-        hidden = np.where(counts[:, step, None], after, hidden)
-    return hidden
-
-
 @pytest.mark.parametrize("error", ["squared", "absolute"])
 def test_opal_skills(error):
     """-log pi of all the window's actions, and beta times the KL of q from rho, summed over dimensions."""
@@ -230,8 +204,8 @@ def test_opal_skills(error):
 
     def loss(params):
         ends = [
-            gru(params.forward, entries, counts),
-            gru(params.backward, entries[:, ::-1], counts[:, ::-1]),
+            ref.gru(params.forward, entries, counts),
+            ref.gru(params.backward, entries[:, ::-1], counts[:, ::-1]),
         ]
         mean, std = ref.gaussian(ref.mlp(params.summary, np.concatenate(ends, -1)))
         latent = mean + std * noise
