@@ -60,9 +60,13 @@ def seed_keys(seeds: Sequence[int]) -> jax.Array:
 
 
 def init_seeds(init: Callable[[jax.Array], PyTree], seeds: Sequence[int]) -> PyTree:
-    """States of all seeds, stacked along a leading axis."""
-    quick = {"xla_backend_optimization_level": 1}  # runs once, and would take longer to optimise than to run
-    return jax.jit(jax.vmap(init), compiler_options=quick)(seed_keys(seeds))
+    """States of all seeds, stacked along a leading axis.
+
+    Not compiled as one program: it runs once, and its few draws, each compiled for itself and known from then on, take
+    less time than a program of all of them takes to compile. Leaves share no memory (a target begins as what it
+    follows), since training consumes them.
+    """
+    return jax.device_put(jax.vmap(init)(seed_keys(seeds)), may_alias=False)
 
 
 def compile_chunk(stage: Stage, stage_index: int) -> jax.stages.Wrapped:
