@@ -35,7 +35,7 @@ PLACES = ("data", "checksum")
 
 
 def commands(run: runs.Run, recorded: str, evaluation: dict[str, Any]) -> list[str]:
-    """The command lines that make data, run and score again. recorded: the first of them, without its --out."""
+    """The command lines that make data, run and score again. recorded: the first of them, which makes DATA.hdf5."""
     spec, task = run.spec, find_task(run.spec.task or "")
     plain = Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.domain)
     changed = differences(spec.config, preset_config(spec.method, cast(Preset, spec.preset), plain))
@@ -47,7 +47,7 @@ def commands(run: runs.Run, recorded: str, evaluation: dict[str, Any]) -> list[s
         words += ["--set", *(f"{name}={value}" for name, value in changed.items())]
     episodes, first = evaluation["episodes_per_seed"], evaluation["episode_seeds"][0]
     scored = f"guider evaluate RUN --episodes {episodes} --first-seed {first}"
-    return [f"{recorded} --out DATA.hdf5", shlex.join(words), scored]
+    return [recorded, shlex.join(words), scored]
 
 
 def kept(run: runs.Run, recorded: str) -> dict[str, Any]:
@@ -125,8 +125,10 @@ def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
 
 def tables(store: Path = STORE) -> dict[str, str]:
     """Every table by name."""
-    rows = antmaze(store, "guider-fast", "`guider collect`")
-    return {"antmaze": markdown(rows), "headline": markdown(rows, SHORT)} if rows else {}
+    ours = antmaze(store, "guider-fast", "`guider collect`")
+    made = {"antmaze": markdown(ours), "headline": markdown(ours, SHORT)} if ours else {}
+    theirs = antmaze(store, "d4rl-policy-guider-fast", "D4RL's own ant policy")
+    return made | ({"antmaze-d4rl-policy": markdown(theirs)} if theirs else {})
 
 
 def filled(document: str, made: dict[str, str]) -> str:
@@ -145,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep = actions.add_parser("keep", help="take the evaluation of a run into the store")
     keep.add_argument("run", type=Path, help="directory of the run")
     keep.add_argument("--variant", required=True, help="the result's name below its task")
-    keep.add_argument("--recorded", required=True, help="the command that made the data, without --out")
+    keep.add_argument("--recorded", required=True, help="the command that makes DATA.hdf5, or a # comment where none does")
     show = actions.add_parser("tables", help="bring the documents up to date")
     show.add_argument("--check", action="store_true", help="change nothing; exit with 1 where something would change")
     asked = parser.parse_args(arguments)
