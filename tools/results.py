@@ -147,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep = actions.add_parser("keep", help="take the evaluation of a run into the store")
     keep.add_argument("run", type=Path, help="directory of the run")
     keep.add_argument("--variant", required=True, help="the result's name below its task")
-    keep.add_argument("--recorded", required=True, help="the command that makes DATA.hdf5, or a # comment where none does")
+    keep.add_argument("--recorded", required=True, help="the command that makes DATA.hdf5; or a comment, # ...")
     show = actions.add_parser("tables", help="bring the documents up to date")
     show.add_argument("--check", action="store_true", help="change nothing; exit with 1 where something would change")
     asked = parser.parse_args(arguments)
