@@ -52,7 +52,7 @@ def test_collect_train_evaluate_plot(recorded, tmp_path, capsys):
     assert [len(seed["episodes"][of]) for seed in result["per_seed"] for of in ("score", "met", "steps", "ending")] == [
         3
     ] * 8
-    kept = results.kept(runs.open_run(run), "guider collect pointmaze-umaze --steps 600")
+    kept = results.kept(runs.open_run(run), "guider collect pointmaze-umaze --steps 600 --out DATA.hdf5")
     assert kept["per_seed"] == result["per_seed"] and str(tmp_path) not in json.dumps(kept)
     collect, train, evaluate = kept["commands"]
     assert collect == "guider collect pointmaze-umaze --steps 600 --out DATA.hdf5"
