@@ -9,11 +9,10 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-# Compiled programs are kept between test runs, for each of the processes that tests run in.
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR",
-    str(Path(__file__).parent.parent / ".jax_cache" / os.environ.get("PYTEST_XDIST_WORKER", "alone")),
-)
+# Compiled programs are kept between test runs and shared by the processes that tests run in; what limits the size of
+# the folder also locks it (by `filelock`), so that none reads what another has half written.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".jax_cache"))
+os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2 * 10**9))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 # Nearly all of a test's time goes into compiling programs that run for moments: optimise them less.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")

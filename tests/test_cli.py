@@ -69,7 +69,7 @@ def test_collect_train_evaluate_plot(recorded, tmp_path, capsys):
 def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
     import numpy as np
 
-    base = ["train", "pointmaze-umaze", "--data", str(recorded), "--json"]
+    base = ["train", "pointmaze-umaze", "--data", str(recorded), "--seeds", "2", "--json"]
     for name, extra in (("plain", []), ("watched", ["--evaluate-every", "2"])):
         assert main([*base, "--out", str(tmp_path / name), *extra, *TINY]) == 0
     plain, watched = (runs.open_run(tmp_path / name).policies()[0] for name in ("plain", "watched"))

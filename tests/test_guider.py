@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -13,7 +14,7 @@ from test_training import train_guider
 
 from guider import losses, runs
 from guider.config import differences, from_dict, override, to_dict
-from guider.episodes import make_episodes
+from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
@@ -314,18 +315,18 @@ def test_acting_is_batched_row_by_row(fast_config, ragged):
         np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-5)
 
 
-def corridor(episodes: int = 120, length: int = 25):
+def corridor(lengths: Sequence[int] = (25,) * 120) -> Episodes:
     """A point pushed along a line of 20 m by its action, +-1 m a step; each episode walks one way."""
     rng = np.random.default_rng(0)
     observations, actions = [], []
-    for _ in range(episodes):
+    for length in lengths:
         x, way = rng.uniform(-10, 10), rng.choice([-1.0, 1.0])
         for _ in range(length):
             action = np.clip(0.6 * way + rng.normal() * 0.4, -1, 1)
             observations.append([x])
             actions.append([action])
             x = np.clip(x + action, -10, 10)
-    return make_episodes(np.array(observations), np.array(actions), [length] * episodes, (0,))
+    return make_episodes(np.array(observations), np.array(actions), list(lengths), (0,))
 
 
 def crosses_corridor(policy: Policy, distance: float, steps: int) -> bool:

@@ -46,7 +46,15 @@ SETTINGS = {
     "high.batch_size": "16",
     "low.batch_size": "16",
 }
-OWN: dict[str, Any] = {"goal_indices": (0, 1), "radius": 0.5, "period_steps": 4, "settings": SETTINGS}
+OWN: dict[str, Any] = {
+    "goal_indices": (0, 1),
+    "radius": 0.5,
+    "period_steps": 4,
+    "seeds": 2,
+    "held_out": 0.4,
+    "settings": SETTINGS,
+}
+"""Always the same settings, so that all tests train by the same few compiled programs."""
 BC: dict[str, Any] = {
     "goal_indices": (0, 1),
     "radius": 0.5,
@@ -97,7 +105,6 @@ def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
     run = guider.train(
         data=logs,
         out=tmp_path / "run",
-        seeds=2,
         on_chunk=lambda chunk, state: precisions.append(jax.default_matmul_precision.value),
         **OWN,
     )
@@ -122,7 +129,7 @@ from guider.training import Chunk
 def die(chunk, state):
     if chunk.stage.name == "goal policy" and chunk.position.update == 8:
         os.kill(os.getpid(), signal.SIGKILL)
-guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, seeds=2, on_chunk=die,
+guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, on_chunk=die,
              pace=runs.Pace(2, 0.0), **{OWN!r})
 """
     killed = subprocess.run([sys.executable, "-c", script], env=os.environ, capture_output=True, text=True)
@@ -130,7 +137,7 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, seeds=2, on_c
     with pytest.raises(GuiderError, match=r"stopped after 6 of 12 updates of the goal policy stage.*--resume"):
         guider.load(tmp_path / "killed")
     resumed = guider.resume(tmp_path / "killed", pace=runs.Pace(5))
-    whole = guider.train(data=logs, out=tmp_path / "whole", seeds=2, pace=runs.Pace(2), **OWN)
+    whole = guider.train(data=logs, out=tmp_path / "whole", pace=runs.Pace(2), **OWN)
     assert_bit_equal(resumed, whole)
     totals = [line["total_updates"] for line in runs.read_lines(tmp_path / "killed" / "metrics.jsonl")]
     assert totals == sorted(set(totals)) and totals[-1] == 24
@@ -225,7 +232,7 @@ def test_what_is_no_run_is_explained(tmp_path):
 
 
 def test_own_data_is_scored_on_episodes_training_never_saw(logs, tmp_path):
-    run = guider.train(data=logs, out=tmp_path / "run", held_out=0.4, **OWN)
+    run = guider.train(data=logs, out=tmp_path / "run", **OWN)
     result = guider.evaluate(run)
     assert result["held_out_episodes"] == 2
     scores = result["per_seed"][0]
@@ -262,7 +269,7 @@ def test_a_diverging_run_stops_and_says_so(logs, tmp_path):
 @pytest.mark.parametrize("seeds", [0, (), (1, 1), (-1,), (2**32,)])
 def test_seeds_are_checked(logs, tmp_path, seeds):
     with pytest.raises(GuiderError, match="seeds must be one or more distinct numbers"):
-        guider.train(data=logs, out=tmp_path / "run", seeds=seeds, **OWN)
+        guider.train(data=logs, out=tmp_path / "run", **(OWN | {"seeds": seeds}))
 
 
 def test_own_data_needs_a_goal(logs, tmp_path):

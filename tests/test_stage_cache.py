@@ -29,7 +29,7 @@ STAGES = ["latent subgoals", "subgoal policy", "goal policy"]
 def train(logs: Path, out: Path, **options: Any) -> tuple[runs.Run, list[str]]:
     """The run, and the stages that were trained for it."""
     trained: dict[str, None] = {}
-    defaults: dict[str, Any] = {"seeds": 2, "on_chunk": lambda chunk, state: trained.setdefault(chunk.stage.name)}
+    defaults: dict[str, Any] = {"on_chunk": lambda chunk, state: trained.setdefault(chunk.stage.name)}
     run = guider.train(data=logs, out=out, **(OWN | defaults | options))
     return run, list(trained)
 
@@ -153,8 +153,6 @@ def test_a_stage_is_known_by_what_it_reads(fast_config, ragged):
         return override(fast_config, {name: value})
 
     assert new_stages(digests(changed("latent.beta", 2.0))) == ["latent subgoals"]
-    assert new_stages(digests(changed("high.prior", False))) == ["subgoal policy"]
-    assert new_stages(digests(changed("low.learning_rate", 0.01))) == ["goal policy"]
     assert new_stages(digests(changed("low.updates", 1_000))) == ["goal policy"]
     nearer = replace(fast_config, problem=replace(fast_config.problem, radius=0.1))
     assert new_stages(digests(nearer)) == ["subgoal policy", "goal policy"]

@@ -140,7 +140,7 @@ def test_seeds_differ_and_equal_seeds_agree_to_the_bit(ragged, fast_config):
 
 def test_every_part_of_the_state_moves_in_its_stage_only(ragged, fast_config):
     states = []
-    train_guider(fast_config, ragged, (0,), on_chunk=lambda chunk, state: states.append(jax.device_get(state)))
+    train_guider(fast_config, ragged, (0, 1), on_chunk=lambda chunk, state: states.append(jax.device_get(state)))
     latent, high, low = states
     assert equal(latent.latent, low.latent) and equal(high.high, low.high)
     assert not equal(latent.high, high.high) and not equal(high.low, low.low)
