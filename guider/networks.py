@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
@@ -84,20 +86,28 @@ _SMALL = 1e-3
 _HIDDEN_BIAS = 0.1
 
 
+def _uniform(key: jax.Array, shape: tuple[int, ...], bound: float) -> jax.Array:
+    """Uniform in +-bound: the first of a power of two of draws, so that few programs draw for all shapes."""
+    power = max(10, (math.prod(shape) - 1).bit_length())
+    return _spread(jax.random.uniform(key, (2**power,)), bound, shape)
+
+
+@partial(jax.jit, static_argnames="shape")
+def _spread(draws: jax.Array, bound: float, shape: tuple[int, ...]) -> jax.Array:
+    return draws[: math.prod(shape)].reshape(shape) * (2 * bound) - bound
+
+
 def mlp_init(key: jax.Array, sizes: tuple[int, ...], initialisation: Initialisation = "fan_in") -> Layers:
     """Fresh layers between widths `sizes`."""
-
-    def uniform(key, shape, bound):
-        return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
 
     def layer(key, fan_in, fan_out, last):
         w_key, b_key = jax.random.split(key)
         shape = (fan_in, fan_out)
         if initialisation == "fan_in":
-            return uniform(w_key, shape, fan_in**-0.5), uniform(b_key, (fan_out,), fan_in**-0.5)
+            return _uniform(w_key, shape, fan_in**-0.5), _uniform(b_key, (fan_out,), fan_in**-0.5)
         if last:
-            return uniform(w_key, shape, _SMALL), uniform(b_key, (fan_out,), _SMALL)
-        return uniform(w_key, shape, fan_out**-0.5), jnp.full(fan_out, _HIDDEN_BIAS)
+            return _uniform(w_key, shape, _SMALL), _uniform(b_key, (fan_out,), _SMALL)
+        return _uniform(w_key, shape, fan_out**-0.5), jnp.full(fan_out, _HIDDEN_BIAS)
 
     keys = jax.random.split(key, len(sizes) - 1)
     last = range(len(keys))[-1]
@@ -192,10 +202,8 @@ class Gru(NamedTuple):
 def gru_init(key: jax.Array, input_dim: int, hidden_dim: int) -> Gru:
     """Uniform in +-1/sqrt(hidden_dim)."""
     shapes = ((input_dim, 3 * hidden_dim), (hidden_dim, 3 * hidden_dim), (3 * hidden_dim,), (hidden_dim,))
-    bound = hidden_dim**-0.5
     keys = jax.random.split(key, len(shapes))
-    draws = (jax.random.uniform(k, s, minval=-bound, maxval=bound) for k, s in zip(keys, shapes, strict=True))
-    return Gru(*draws)
+    return Gru(*(_uniform(k, shape, hidden_dim**-0.5) for k, shape in zip(keys, shapes, strict=True)))
 
 
 def gru(weights: Gru, inputs: jax.Array, valid: jax.Array, reverse: bool = False) -> jax.Array:

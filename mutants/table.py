@@ -104,6 +104,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("hidden / (1 - dropout)", "hidden", "test_losses.py"),
         ("LOG_STD_RANGE = (-5.0, 2.0)", "LOG_STD_RANGE = (-20.0, 2.0)", "test_losses.py"),
         ("actions @ weight[context_dim:]", "actions @ weight[-1 - context_dim : -1]", "test_losses.py"),
+        ("* (2 * bound) - bound", "* bound", _INITIALISED),
         ("uniform(w_key, shape, fan_in**-0.5)", "uniform(w_key, shape, fan_out**-0.5)", _INITIALISED),
         (
             "jax.nn.standardize(jax.nn.gelu(outputs), axis=-1)",
