@@ -482,5 +482,6 @@ def test_initialisation(config):
             bounds = [(n**-0.5, n**-0.5) for n in (fan_in, 64, 16)]
         for (weights, biases), (of_weights, of_biases) in zip(layers, bounds, strict=True):
             assert 0.9 * of_weights < float(jnp.abs(weights).max()) <= of_weights
+            assert float(weights.min()) < -0.8 * of_weights and float(weights.max()) > 0.8 * of_weights
             assert 0.5 * of_biases < float(jnp.abs(biases).max()) <= of_biases
     assert bool(jnp.all(state.params.actor[0][1] == 0.1)) == ours
