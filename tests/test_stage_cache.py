@@ -153,6 +153,8 @@ def test_a_stage_is_known_by_what_it_reads(fast_config, ragged):
         return override(fast_config, {name: value})
 
     assert new_stages(digests(changed("latent.beta", 2.0))) == ["latent subgoals"]
+    assert new_stages(digests(changed("high.prior", False))) == ["subgoal policy"]
+    assert new_stages(digests(changed("low.learning_rate", 0.01))) == ["goal policy"]
     assert new_stages(digests(changed("low.updates", 1_000))) == ["goal policy"]
     nearer = replace(fast_config, problem=replace(fast_config.problem, radius=0.1))
     assert new_stages(digests(nearer)) == ["subgoal policy", "goal policy"]
