@@ -20,7 +20,7 @@ demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes o
 	$(BIN)/guider plot $(RUN)
 
 test: .venv/installed
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 mutants: .venv/installed  ## Break the package in some 300 places, one at a time, and see that a test fails each time.
 	$(BIN)/python -m mutants

@@ -53,11 +53,11 @@ def make_ragged(lengths=(7, 30, 2, 12, 55), recorded_goals: bool = True, seed: i
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def ragged() -> Episodes:
     return make_ragged()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fast_config() -> GuiderConfig:
     return tiny(guider_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)))

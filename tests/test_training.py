@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -101,18 +101,6 @@ def test_what_is_known_is_asked_before_a_stage_begins_alone():
     assert asked == [1, 2] and state.total.tolist() == [53.0]
 
 
-def test_slicing_never_matters_to_the_bit(ragged, fast_config, monkeypatch):
-    """One update at a time, or all of a chunk at once: parameters and metrics are equal."""
-
-    def trained(seconds: float):
-        monkeypatch.setattr(training, "SLICE_SECONDS", seconds)
-        seen = []
-        state = train_guider(fast_config, ragged, (0, 1), on_chunk=lambda chunk, state: seen.append(chunk.metrics))
-        return state, seen
-
-    assert equal(trained(0.0), trained(1e9))
-
-
 def test_training_stops_when_told_and_goes_on_from_there():
     asked, seen = iter([False, True, True]), []
     stages = [counting_stage("one", 10**6), counting_stage("two", 3)]
@@ -124,23 +112,49 @@ def test_training_stops_when_told_and_goes_on_from_there():
     assert chunk.position == Position(0, 11) and chunk.updates == 11 and state.total.tolist() == [11.0]
 
 
-def test_chunking_never_matters_to_the_bit(ragged, fast_config):
-    whole = train_guider(fast_config, ragged, (0, 1), chunk_updates=100)
-    pieces = train_guider(fast_config, ragged, (0, 1), chunk_updates=3)
-    assert equal(whole, pieces)
+class Trained(NamedTuple):
+    state: Any
+    metrics: list[dict[str, Any]]
+    """After each chunk."""
+    states: list[Any]
 
 
-def test_seeds_differ_and_equal_seeds_agree_to_the_bit(ragged, fast_config):
-    first = train_guider(fast_config, ragged, (3, 8))
-    again = train_guider(fast_config, ragged, (3, 8))
-    assert equal(first, again)
-    one, other = (jax.tree.map(lambda leaf, s=s: leaf[s], first.low.params) for s in range(2))
+def trained(config, episodes, seconds: float, **settings) -> Trained:
+    """Guider, two seeds, in slices of so many seconds."""
+    metrics, states = [], []
+
+    def see(chunk, state):
+        metrics.append(chunk.metrics)
+        states.append(jax.device_get(state))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "SLICE_SECONDS", seconds)
+        state = train_guider(config, episodes, (0, 1), on_chunk=see, **settings)
+    return Trained(state, metrics, states)
+
+
+@pytest.fixture(scope="module")
+def whole(fast_config, ragged) -> Trained:
+    """Every stage a chunk, every chunk in as few slices as can be."""
+    return trained(fast_config, ragged, 1e9)
+
+
+def test_slicing_never_matters_to_the_bit(whole, fast_config, ragged):
+    """One update at a time, or nearly all of a chunk at once: parameters and metrics are equal."""
+    one_by_one = trained(fast_config, ragged, 0.0)
+    assert equal(whole.state, one_by_one.state) and equal(whole.metrics, one_by_one.metrics)
+
+
+def test_chunking_never_matters_to_the_bit(whole, fast_config, ragged):
+    assert equal(whole.state, train_guider(fast_config, ragged, (0, 1), chunk_updates=3))
+
+
+def test_seeds_differ(whole):
+    one, other = (jax.tree.map(lambda leaf, s=s: leaf[s], whole.state.low.params) for s in range(2))
     assert not equal(one, other)
 
 
-def test_every_part_of_the_state_moves_in_its_stage_only(ragged, fast_config):
-    states = []
-    train_guider(fast_config, ragged, (0, 1), on_chunk=lambda chunk, state: states.append(jax.device_get(state)))
-    latent, high, low = states
+def test_every_part_of_the_state_moves_in_its_stage_only(whole):
+    latent, high, low = whole.states
     assert equal(latent.latent, low.latent) and equal(high.high, low.high)
     assert not equal(latent.high, high.high) and not equal(high.low, low.low)
