@@ -12,9 +12,9 @@ import numpy as np
 
 from guider.episodes import Episodes, make_episodes
 from guider.methods import guider
-from guider.methods.guider import GuiderConfig
+from guider.methods.guider import GuiderConfig, guider_config
+from guider.methods.presets import Preset
 from guider.methods.view import prepare
-from guider.presets import Preset, guider_config
 from guider.problem import Problem
 from guider.processor import settled
 from guider.training import compile_chunk, init_seeds, no_sums, seed_keys

@@ -20,9 +20,9 @@ from benchmarks.common import print_table, ratios, show_ratio, verdict
 from guider.episodes import Spaces
 from guider.evaluation import rollout
 from guider.methods import guider
+from guider.methods.guider import guider_config
 from guider.methods.view import unit_scale
 from guider.policy import Policy
-from guider.presets import guider_config
 from guider.problem import Problem
 from guider.tasks import Task, find_task
 from guider.tasks.types import VectorEnv

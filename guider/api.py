@@ -20,11 +20,11 @@ from guider.errors import GuiderError, GuiderWarning
 from guider.evaluation import Rollouts, bootstrap_interval, rollout, success_interval
 from guider.files import user_path
 from guider.heldout import held_out_scores
-from guider.methods import METHODS
+from guider.methods import METHODS, preset_config
+from guider.methods.presets import Preset
 from guider.methods.view import check_radius, data_use, learned_windows
 from guider.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
 from guider.policy import Agent, Policy
-from guider.presets import Preset, preset_config
 from guider.problem import Problem
 from guider.runs import Pace, Run, RunSpec
 from guider.samplers import no_window

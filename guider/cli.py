@@ -27,7 +27,7 @@ from rich.table import Table
 
 from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.files import user_path
-from guider.presets import Preset
+from guider.methods.presets import Preset
 from guider.reproduce.paper import TargetName
 
 Json = Annotated[bool, tyro.conf.arg(name="json", help="Print one JSON document instead of text.")]

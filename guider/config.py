@@ -13,6 +13,10 @@ import numpy as np
 from guider.errors import GuiderError, names_like
 
 C = TypeVar("C")
+Changes = dict[str, Any]
+"""Settings by dotted name."""
+ByDomain = dict[str | None, Changes]
+"""The same by domain of tasks (guider.problem)."""
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -34,7 +38,7 @@ def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config
     return config_type(**{name: _convert(hints[name], value, f"{where}.{name}") for name, value in values.items()})
 
 
-def override(config: C, assignments: dict[str, Any]) -> C:
+def override(config: C, assignments: Changes) -> C:
     """Replace settings named by dotted paths. Texts are read as typed on a command line: {"high.samples": "4"}."""
     values = to_dict(config)
     for path, text in assignments.items():
@@ -60,6 +64,11 @@ def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, value in values.items():
         flat |= flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
     return flat
+
+
+def under(name: str, changes: Changes) -> Changes:
+    """The same settings of the config that `name` leads to."""
+    return {f"{name}.{setting}": value for setting, value in changes.items()}
 
 
 def check_fraction(config: Any, *names: str) -> None:

@@ -398,6 +398,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("temperature = -tuned", "temperature = tuned", _CQL_LEVEL),
     ],
     "guider/methods/guider.py": [
+        ("learner=fast_learner(goal_learner, problem.domain)", "learner=goal_learner", _FIGURE_4),
         ("reward=losses.goal_reward(batch.later,", "reward=losses.goal_reward(batch.achieved,", _RELABEL),
         ("prior(params, state.scale, batch.later)", "prior(params, state.scale, batch.achieved)", _RELABEL),
         (
@@ -474,9 +475,6 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ),
         ("reward=losses.goal_reward(batch.later,", "reward=losses.goal_reward(batch.achieved,", _SKILLS),
         ("jnp.where(renew, config.skill_steps,", "jnp.where(renew, config.problem.period_steps,", _SKILL_TIME),
-    ],
-    "guider/presets.py": [
-        ("learner=_fast_learner(problem, learner),\n        ),", "learner=learner,\n        ),", _FIGURE_4),
     ],
     "guider/methods/flat.py": [
         ("(goal - achieved) / scale.goal_std if", "(goal - achieved) / scale.step_std if", "test_learners.py"),

@@ -19,8 +19,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")
 
 from guider.config import flatten, override, to_dict
 from guider.episodes import Episodes, make_episodes
-from guider.methods.guider import GuiderConfig
-from guider.presets import guider_config
+from guider.methods.guider import GuiderConfig, guider_config
 from guider.problem import Problem
 
 C = TypeVar("C")

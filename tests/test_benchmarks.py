@@ -17,10 +17,9 @@ from benchmarks.updates import update_flops
 from guider.learners import Transitions, awr
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
-from guider.methods.guider import GuiderConfig, GuiderState
+from guider.methods.guider import GuiderConfig, GuiderState, guider_config
 from guider.methods.view import prepare, unit_scale
 from guider.networks import Gaussian, gaussian_head, mlp
-from guider.presets import guider_config
 from guider.problem import Problem
 from guider.samplers import Windows
 

@@ -10,7 +10,7 @@ import guider
 from guider import api
 from guider.config import differences
 from guider.data.write import write_d4rl
-from guider.presets import preset_config
+from guider.methods import preset_config
 from guider.problem import Problem
 from guider.tasks import TASKS
 

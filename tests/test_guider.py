@@ -17,12 +17,11 @@ from guider.episodes import make_episodes
 from guider.errors import GuiderError
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
-from guider.methods.guider import GuiderConfig
+from guider.methods.guider import GuiderConfig, guider_config
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.view import Scale, ViewConfig, prepare
 from guider.networks import twin_values
 from guider.policy import Policy, act, initial_state
-from guider.presets import guider_config
 from guider.problem import Problem
 from guider.samplers import HighBatch, LowBatch, Windows
 from guider.training import init_seeds, train

@@ -9,13 +9,12 @@ import pytest
 from conftest import make_ragged
 from test_samplers import counts, labelled
 
-from guider.config import from_dict, override, to_dict
+from guider.config import Changes, from_dict, override, to_dict
 from guider.errors import GuiderError
 from guider.methods import hiql as method
-from guider.methods.hiql import HiqlConfig
+from guider.methods.hiql import HiqlConfig, hiql_config
 from guider.methods.view import Scale
 from guider.networks import layer_norm_mlp
-from guider.presets import Changes, hiql_config
 from guider.problem import Problem
 from guider.samplers import ValueBatch, WaypointBatch, device_data, sample_value, sample_waypoints
 

@@ -20,9 +20,9 @@ from guider import api, runs
 from guider.config import differences, from_dict, to_dict
 from guider.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
-from guider.methods import METHODS, hiql
+from guider.methods import METHODS, hiql, preset_config
+from guider.methods.presets import Preset
 from guider.policy import Policy, compiled_act, initial_state
-from guider.presets import Preset, preset_config
 from guider.problem import Problem
 from guider.runs import Run
 

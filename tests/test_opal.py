@@ -10,14 +10,13 @@ from conftest import make_ragged
 from test_samplers import labelled
 
 from guider import losses
-from guider.config import from_dict, override, to_dict
+from guider.config import Changes, from_dict, override, to_dict
 from guider.errors import GuiderError
 from guider.methods import opal as method
-from guider.methods.opal import OpalConfig
+from guider.methods.opal import OpalConfig, opal_config
 from guider.methods.view import Scale
 from guider.networks import Gru, gru, gru_init
 from guider.policy import Policy, compiled_act, initial_state
-from guider.presets import Changes, opal_config
 from guider.problem import Problem
 from guider.samplers import SkillBatch, Trajectories, device_data, sample_skills, sample_trajectories
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from conftest import make_ragged, tiny
 
-import guider.presets
 from guider.cli import COMMANDS
+from guider.methods import preset_config
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 
@@ -17,8 +17,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys):
     (snippet,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     assert len(snippet.strip().splitlines()) < 15
-    full_size = guider.presets.preset_config
-    monkeypatch.setattr("guider.api.preset_config", lambda *arguments: tiny(full_size(*arguments)))
+    monkeypatch.setattr("guider.api.preset_config", lambda *arguments: tiny(preset_config(*arguments)))
     monkeypatch.chdir(tmp_path)
     logs = make_ragged([20] * 20)
     np.savez("logs.npz", observations=logs.observations, actions=logs.actions, lengths=logs.lengths)

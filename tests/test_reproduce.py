@@ -20,7 +20,7 @@ from guider import runs
 from guider.cli import main
 from guider.errors import GuiderError
 from guider.locks import hold
-from guider.reproduce import figures, paper, plans, report, runner
+from guider.reproduce import figures, paper, report, runner
 from guider.reproduce.plans import Plan, PlannedRun, Protocol, make_plan
 from guider.tasks import find_task
 
@@ -68,13 +68,6 @@ def contents(folder: Path) -> dict[str, tuple[int, bytes]]:
     """Every file below `folder` with the time of its last change."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
-
-
-@pytest.fixture
-def all_methods(monkeypatch) -> None:
-    """As if every method of the paper were there."""
-    names = (*paper.TABLE_1_METHODS, "guider-gcsl", "guider-wgcsl", "guider-cql", "bc")
-    monkeypatch.setattr(plans, "METHODS", dict.fromkeys(names))
 
 
 def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, ...] = (1.0,), **facts: Any) -> None:
@@ -129,7 +122,7 @@ def test_the_papers_numbers_agree_with_its_text_and_with_each_other():
         assert guider is not None and scores[1] == (guider[0], None)  # c = 50 is Guider itself
 
 
-def test_table_1_is_every_method_on_every_task(all_methods):
+def test_table_1_is_every_method_on_every_task():
     plan = make_plan("table1", Protocol(seeds=3, first_seed=4, preset="paper"))
     assert len(plan.runs) == 14 * 5 and {run.seeds for run in plan.runs} == {(4, 5, 6)}
     assert plan.runs[0].name == "antmaze-umaze-diverse/opal-paper"
@@ -154,7 +147,7 @@ def test_ablations_change_what_the_paper_changes():
     assert latent.settings == {"low.subgoal_input": "latent"}
 
 
-def test_tables_and_figures_share_their_runs(all_methods):
+def test_tables_and_figures_share_their_runs():
     shared = make_plan("table1", Protocol(), ["antmaze-large-diverse"], ["guider"]).runs[0]
     for target in ("table2", "table3", "figure3", "figure4", "figure7"):
         assert shared in make_plan(target, Protocol()).runs
@@ -163,7 +156,7 @@ def test_tables_and_figures_share_their_runs(all_methods):
     assert make_plan("figure7", Protocol()).runs == make_plan("table2", Protocol(), ["antmaze-large-diverse"]).runs
 
 
-def test_settings_are_for_all_runs_or_for_one_methods(all_methods):
+def test_settings_are_for_all_runs_or_for_one_methods():
     asked = Protocol(settings={"gcsl:updates": "5", "batch_size": "16", "gcsl:batch_size": "32"})
     gcsl, guider = make_plan("table1", asked, ["kitchen-mixed"], ["gcsl", "guider"]).runs
     assert gcsl.settings == {"batch_size": "32", "updates": "5"} and guider.settings == {"batch_size": "16"}
@@ -359,7 +352,7 @@ def test_runs_keep_to_their_share_of_the_cores():
 # Reports
 
 
-def test_the_table_says_mean_and_deviation_beside_the_papers(tmp_path, all_methods):
+def test_the_table_says_mean_and_deviation_beside_the_papers(tmp_path):
     plan = make_plan("table1", protocol_in(tmp_path), ["antmaze-large-diverse", "fetch-pick-mixed"], ["gcsl", "guider"])
     (ant_gcsl, ant_guider), (fetch_gcsl, fetch_guider) = plan.grid
     fake(plan, ant_gcsl, [10.0, 20.0])
@@ -399,7 +392,7 @@ def test_the_protocol_is_stated(tmp_path):
         assert fact in page
 
 
-def test_curves_and_bars_give_their_numbers(tmp_path, all_methods):
+def test_curves_and_bars_give_their_numbers(tmp_path):
     """Figures 5 and 4 of two fake runs; a third, unfinished, is left out and its command named."""
     plan = make_plan("figure5", protocol_in(tmp_path), ["fetch-pick-mixed"])
     for run in plan.runs:

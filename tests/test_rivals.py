@@ -16,10 +16,11 @@ import reference as ref
 from conftest import make_ragged
 from test_updates import RATE, plain, shaken
 
-from guider.config import override
+from guider.config import Changes, override
 from guider.methods import hiql, opal
+from guider.methods.hiql import hiql_config
+from guider.methods.opal import opal_config
 from guider.methods.view import Scale
-from guider.presets import Changes, hiql_config, opal_config
 from guider.problem import Problem
 from guider.samplers import device_data, sample_trajectories, sample_value, sample_waypoints
 from guider.training import Stage

@@ -28,8 +28,8 @@ from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.files import read_json
 from guider.locks import hold
 from guider.methods import guider as method
+from guider.methods.guider import guider_config
 from guider.methods.view import prepare
-from guider.presets import guider_config
 from guider.problem import Problem
 from guider.processor import settled
 from guider.training import Position

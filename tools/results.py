@@ -22,7 +22,8 @@ from guider import runs
 from guider.config import differences
 from guider.evaluation import success_interval
 from guider.files import parse_json, write_json, write_text
-from guider.presets import Preset, preset_config
+from guider.methods import preset_config
+from guider.methods.presets import Preset
 from guider.problem import Problem
 from guider.reproduce.report import training_minutes
 from guider.tasks import find_task

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from guider.config import override
 from guider.learners import awr, cql, gcsl, iql, wgcsl
 from guider.learners.awr import AwrConfig
 from guider.learners.cql import CqlConfig
@@ -20,20 +21,27 @@ __all__ = [
     "LearnerConfig",
     "Transitions",
     "WgcslConfig",
+    "fast_learner",
     "learner",
 ]
 
 LearnerConfig = AwrConfig | CqlConfig | GcslConfig | IqlConfig | WgcslConfig
 
 _LEARNERS: dict[type, Learner] = {
-    AwrConfig: Learner(awr.init, awr.update, awr.act),
-    CqlConfig: Learner(cql.init, cql.update, cql.act),
-    GcslConfig: Learner(gcsl.init, gcsl.update, gcsl.act),
-    IqlConfig: Learner(iql.init, iql.update, iql.act),
-    WgcslConfig: Learner(wgcsl.init, wgcsl.update, wgcsl.act),
+    AwrConfig: Learner(awr.init, awr.update, awr.act, awr.FAST, awr.FAST_IN_DOMAIN),
+    CqlConfig: Learner(cql.init, cql.update, cql.act, cql.FAST, cql.FAST_IN_DOMAIN),
+    GcslConfig: Learner(gcsl.init, gcsl.update, gcsl.act, gcsl.FAST, gcsl.FAST_IN_DOMAIN),
+    IqlConfig: Learner(iql.init, iql.update, iql.act, iql.FAST, iql.FAST_IN_DOMAIN),
+    WgcslConfig: Learner(wgcsl.init, wgcsl.update, wgcsl.act, wgcsl.FAST, wgcsl.FAST_IN_DOMAIN),
 }
 
 
 def learner(config: LearnerConfig) -> Learner:
     """The learner that a config is of."""
     return _LEARNERS[type(config)]
+
+
+def fast_learner(config: LearnerConfig, domain: str | None) -> LearnerConfig:
+    """With what preset `fast` changes."""
+    found = learner(config)
+    return override(config, found.fast | found.fast_in_domain.get(domain, {}))

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_positive
-from guider.learners.regression import RegressionConfig, most_likely, regress
+from guider.config import ByDomain, Changes, check_fraction, check_positive, under
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, regress
 from guider.learners.types import Transitions
 from guider.networks import Initialisation, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
@@ -44,6 +44,11 @@ class AwrConfig:
     def __post_init__(self) -> None:
         check_positive(self, "weight_ceiling", "temperature")
         check_fraction(self, "discount", "target_rate")
+
+
+FAST: Changes = {"advantage": "action_value", "policy": "tanh", "initialisation": "fan_in"}
+FAST_IN_DOMAIN: ByDomain = {"kitchen": under("regression", FROM_DEMONSTRATIONS)}
+"""What lies c steps ahead is pursued: the discount stays."""
 
 
 class Params(NamedTuple):

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_not_negative, check_positive
-from guider.learners.regression import RegressionConfig, regress
-from guider.learners.types import Transitions
+from guider.config import ByDomain, Changes, check_fraction, check_not_negative, check_positive, under
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, regress
+from guider.learners.types import LONG, Transitions
 from guider.networks import Gaussian, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
 from guider.training import Metrics
@@ -42,6 +42,16 @@ class CqlConfig:
         check_positive(self, "samples")
         check_not_negative(self, "conservative_weight", "cloning_weight")
         check_fraction(self, "discount", "target_rate")
+
+
+FAST: Changes = {"samples": 2, "conservative_weight": 1.0, "cloning_weight": 10.0}
+"""Values that stay low, from few samples, and a policy near the data."""
+FAST_IN_DOMAIN: ByDomain = {
+    "antmaze": LONG,
+    "pointmaze": LONG,
+    # Values of up to 4 / (1 - discount) would drown the cloning.
+    "kitchen": LONG | under("regression", FROM_DEMONSTRATIONS) | {"cloning_weight": 1000.0},
+}
 
 
 class Params(NamedTuple):

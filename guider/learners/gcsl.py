@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider.learners.regression import RegressionConfig, most_likely, predict, regress
+from guider.config import ByDomain, Changes, under
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import Transitions
 from guider.networks import Layers, mlp_init
 from guider.optimisers import Moments, Rate, adam_init, adam_step
@@ -26,6 +27,10 @@ class GcslConfig:
 
     kind: Literal["gcsl"] = "gcsl"
     regression: RegressionConfig = field(default_factory=RegressionConfig)
+
+
+FAST: Changes = {}
+FAST_IN_DOMAIN: ByDomain = {"kitchen": under("regression", FROM_DEMONSTRATIONS)}
 
 
 class GcslState(NamedTuple):

@@ -13,9 +13,9 @@ from typing import Literal, NamedTuple
 import jax
 
 from guider import losses
-from guider.config import check_fraction, check_positive
-from guider.learners.regression import RegressionConfig, most_likely, predict, regress
-from guider.learners.types import Transitions
+from guider.config import ByDomain, Changes, check_fraction, check_positive, under
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
+from guider.learners.types import LONG, Transitions
 from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
 from guider.training import Metrics
@@ -37,6 +37,14 @@ class IqlConfig:
     def __post_init__(self) -> None:
         check_positive(self, "weight_ceiling", "temperature")
         check_fraction(self, "discount", "target_rate", "expectile")
+
+
+FAST: Changes = {"expectile": 0.7, "temperature": 0.5}
+FAST_IN_DOMAIN: ByDomain = {
+    "antmaze": LONG,
+    "pointmaze": LONG,
+    "kitchen": LONG | under("regression", FROM_DEMONSTRATIONS),
+}
 
 
 class Params(NamedTuple):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction
+from guider.config import Changes, check_fraction
 from guider.errors import GuiderError
 from guider.networks import Layers, mlp
 from guider.training import Metrics
@@ -29,6 +29,10 @@ class RegressionConfig:
         check_fraction(self, "dropout")
         if self.dropout == 1:
             raise GuiderError("dropout must be below 1")
+
+
+FROM_DEMONSTRATIONS: Changes = {"error": "absolute", "dropout": 0.1}
+"""Preset `fast` where demonstrations are few: a regression held simple."""
 
 
 def most_likely(actor: Layers, inputs: jax.Array) -> jax.Array:

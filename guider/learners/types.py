@@ -8,6 +8,11 @@ from typing import Any, NamedTuple
 
 import jax
 
+from guider.config import ByDomain, Changes
+
+LONG: Changes = {"discount": 0.995}
+"""Preset `fast` where final goals lie hundreds of steps ahead."""
+
 
 class Transitions(NamedTuple):
     """Transitions labelled with a goal, as the networks see them.
@@ -31,8 +36,12 @@ class Learner:
     init:   (key, config, hidden, input_dim, action_dim) -> state, a NamedTuple with `params` and `optimiser`
     update: (config, state, Transitions, key, learning rate) -> (state, metrics)
     act:    (config, state, inputs [..., inputs]) -> the most likely actions [..., A] in [-1, 1]
+    fast, fast_in_domain: what preset `fast` changes, alone and as Guider's low level alike: Figure 4 compares what
+            stands above
     """
 
     init: Callable[..., Any]
     update: Callable[..., Any]
     act: Callable[..., Any]
+    fast: Changes
+    fast_in_domain: ByDomain

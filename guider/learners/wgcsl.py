@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_not_negative, check_positive
-from guider.learners.regression import RegressionConfig, most_likely, predict, regress
-from guider.learners.types import Transitions
+from guider.config import ByDomain, Changes, check_fraction, check_not_negative, check_positive, under
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
+from guider.learners.types import LONG, Transitions
 from guider.networks import Layers, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
 from guider.training import Metrics
@@ -54,6 +54,16 @@ class WgcslConfig:
         check_positive(self, "weight_ceiling", "recent_advantages", "input_limit")
         check_not_negative(self, "percentile_rise")
         check_fraction(self, "discount", "target_rate", "poor_weight")
+
+
+FAST: Changes = {"twins": True, "recent_advantages": 4096}
+# Where all episodes are alike, the best advantages are noise.
+_LONG = LONG | {"best_advantage_weight": False}
+FAST_IN_DOMAIN: ByDomain = {
+    "antmaze": _LONG,
+    "pointmaze": _LONG,
+    "kitchen": _LONG | under("regression", FROM_DEMONSTRATIONS),
+}
 
 
 class Params(NamedTuple):

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_networks, check_shares
+from guider.config import ByDomain, Changes, check_fraction, check_networks, check_shares, override
 from guider.episodes import Spaces
 from guider.errors import GuiderError
-from guider.learners import GcslConfig, LearnerConfig, Transitions, learner
+from guider.learners import (
+    CqlConfig,
+    GcslConfig,
+    IqlConfig,
+    LearnerConfig,
+    Transitions,
+    WgcslConfig,
+    fast_learner,
+    learner,
+)
+from guider.methods.method import Method
+from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.networks import Precision
 from guider.optimisers import cosine_rate
@@ -135,3 +147,36 @@ def act(
     achieved = observation[..., jnp.asarray(goal_indices)]
     seen = inputs(config, state.scale, observation, achieved, goal)
     return learner(config.learner).act(config.learner, state.policy, seen), ()
+
+
+FAST: Changes = {"batch_size": 256, "learning_rate": 1e-3, "decay": True, "relative": True}
+FAST_IN_DOMAIN: ByDomain = {
+    "fetch": MANIPULATION,
+    "kitchen": MANIPULATION | {"view.smallest_spread": 0.1},
+}
+_UPDATES = {"antmaze": 2.5, "fetch": 4 / 3, "kitchen": 1 / 2}
+"""How much longer or shorter `fast` trains, by domain: about what Guider takes, or less."""
+
+
+def flat_config(preset: Preset, problem: Problem, learner: LearnerConfig, updates: int, changes: Changes) -> FlatConfig:
+    """Settings for a problem. updates: in `fast`, before `_UPDATES`; changes: in both presets, from the defaults."""
+    paper = override(FlatConfig(problem=problem, view=ViewConfig(normalise=True), learner=learner), changes)
+    if preset == "paper":
+        return paper
+    updates = round(updates * _UPDATES.get(problem.domain or "", 1))
+    paper = replace(paper, learner=fast_learner(learner, problem.domain), updates=updates)
+    return fast(paper, FAST, FAST_IN_DOMAIN)
+
+
+def _method(label: str, learner: LearnerConfig, updates: int, **changes: Any) -> Method:
+    config = partial(flat_config, learner=learner, updates=updates, changes=changes)
+    return Method(label, FlatConfig, config, init, stages, initial_acting_state, act, acts_by)
+
+
+METHODS = {
+    "bc": _method("BC", GcslConfig(), 40_000, relabel_fraction=0.0, future="last"),
+    "gcsl": _method("GCSL", GcslConfig(), 40_000),
+    "wgcsl": _method("WGCSL", WgcslConfig(), 25_000, relabel_fraction=0.8),
+    "cql-her": _method("CQL+HER", CqlConfig(), 12_000, relabel_fraction=0.8),
+    "iql": _method("IQL", IqlConfig(), 25_000, relabel_fraction=0.8),
+}

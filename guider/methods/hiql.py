@@ -12,16 +12,19 @@ goal, instead of in its very state. With `subgoal="place"` it is another method,
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_networks, check_positive
+from guider.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
 from guider.episodes import Spaces
 from guider.errors import GuiderError
-from guider.learners.regression import RegressionConfig
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
+from guider.methods.method import Method
+from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
@@ -408,3 +411,43 @@ def act(
     if config.subgoal == "representation":
         z = normalised(z)
     return control(config, state.low.params, state.scale, observation, achieved, z), ()
+
+
+PLACES: Changes = {
+    "subgoal": "place",
+    "squash": True,
+    "random_goal_fraction": 0.3,
+    "value.backup_steps": 5,
+    "high.temperature": 1.0,
+    "low.temperature": 1.0,
+}
+"""What makes HIQL `hiql-places`, in both presets."""
+
+_LEVEL: Changes = {"batch_size": 256, "learning_rate": 1e-3, "decay": True, "hidden": (256, 256)}
+FAST: Changes = (
+    under("value", _LEVEL | {"updates": 20_000, "discount": 0.995, "target_rate": 0.02})
+    | under("high", _LEVEL | {"updates": 8_000})
+    | under("low", _LEVEL | {"updates": 25_000, "hidden": (256, 256, 256)})
+    | {"relative": True}
+)
+FAST_IN_DOMAIN: ByDomain = {
+    "antmaze": {"low.updates": 100_000},
+    "fetch": MANIPULATION | {"random_goal_fraction": 0.0, "subgoal_steps": 10},
+    "kitchen": MANIPULATION
+    | {"view.smallest_spread": 0.1, "random_goal_fraction": 0.0}
+    | under("low.regression", FROM_DEMONSTRATIONS),
+}
+
+
+def hiql_config(preset: Preset, problem: Problem, variant: Changes | None = None) -> HiqlConfig:
+    """Settings for a problem. variant: in both presets, from HIQL's."""
+    paper = override(HiqlConfig(problem=problem), variant or {})
+    return paper if preset == "paper" else fast(paper, FAST, FAST_IN_DOMAIN)
+
+
+def _method(label: str, variant: Changes) -> Method:
+    config = partial(hiql_config, variant=variant)
+    return Method(label, HiqlConfig, config, init, stages, initial_acting_state, act, acts_by)
+
+
+METHODS = {"hiql": _method("HIQL", {}), "hiql-places": _method("HIQL on places", PLACES)}

@@ -17,11 +17,13 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_networks, check_positive
+from guider.config import ByDomain, Changes, check_fraction, check_networks, check_positive, under
 from guider.episodes import Spaces
-from guider.learners.regression import RegressionConfig
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
 from guider.methods import subgoal_policy
-from guider.methods.subgoal_policy import SubgoalPolicyConfig, SubgoalPolicyState
+from guider.methods.method import Method
+from guider.methods.presets import MANIPULATION, Preset, fast
+from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
 from guider.networks import Gaussian, Gru, Layers, Precision, gaussian_head, gru, gru_init, mlp, mlp_init
 from guider.optimisers import Moments, adam_init, adam_step, cosine_rate
@@ -276,3 +278,38 @@ def act(
     latent = jnp.where(renew[:, None], chosen, acting.latent)
     steps_left = jnp.where(renew, config.skill_steps, acting.steps_left) - 1
     return decode(state.skills.params, state.scale, observation, latent), ActingState(latent, steps_left)
+
+
+FAST: Changes = under("high", STEADY_CRITIC) | {
+    "relative": True,
+    "skills.updates": 20_000,
+    "skills.batch_size": 20,
+    "skills.decay": True,
+    "skills.hidden": (256, 256),
+    "skills.encoder_hidden": 128,
+    "skills.encoder_stride": 5,
+    "skills.beta": 0.02,
+    "high.updates": 10_000,
+    "high.batch_size": 128,
+    "high.learning_rate": 1e-3,
+    "high.hidden": (256, 256),
+    "high.relabel_fraction": 0.7,
+    "high.random_goal_fraction": 0.3,
+    "high.prior": True,
+    "high.target_divergence": 0.4,
+}
+FAST_IN_DOMAIN: ByDomain = {
+    # A skill is the mean of many ways to walk, and gentle already.
+    "antmaze": {"action_scale": 1.0, "skills.updates": 40_000, "high.updates": 15_000},
+    "fetch": MANIPULATION,
+    "kitchen": MANIPULATION | {"view.smallest_spread": 0.1} | under("skills.regression", FROM_DEMONSTRATIONS),
+}
+
+
+def opal_config(preset: Preset, problem: Problem) -> OpalConfig:
+    """Settings for a problem."""
+    paper = OpalConfig(problem=problem)
+    return paper if preset == "paper" else fast(paper, FAST, FAST_IN_DOMAIN)
+
+
+METHODS = {"opal": Method("OPAL", OpalConfig, opal_config, init, stages, initial_acting_state, act, acts_by)}

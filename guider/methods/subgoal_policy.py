@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from guider import losses
-from guider.config import check_fraction, check_networks, check_not_negative, check_positive, check_shares
+from guider.config import Changes, check_fraction, check_networks, check_not_negative, check_positive, check_shares
 from guider.errors import GuiderError
 from guider.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
 from guider.optimisers import Moments, adam_init, adam_step, trail
@@ -70,6 +70,19 @@ class SubgoalPolicyConfig:
         check_shares(self)
         if self.critic == "cql" and self.batch_size < 2:
             raise GuiderError("batch_size must be 2 or more: CQL draws from the range of a batch")
+
+
+STEADY_CRITIC: Changes = {
+    "samples": 2,
+    "backup": "max_of_min",
+    "uniform_box": "per_entry",
+    "lagrange_threshold": None,
+    "conservative_weight": 0.5,
+    "cap_targets": True,
+    "temperature_loss": "log_alpha",
+    "initialisation": "fan_in",
+}
+"""Preset `fast`: values that stay at or below 0, from few samples."""
 
 
 class Params(NamedTuple):

@@ -14,27 +14,12 @@ from typing import Any
 
 from guider.config import flatten, to_dict
 from guider.errors import GuiderError, names_like
-from guider.methods import METHODS
-from guider.presets import Preset, preset_config
+from guider.methods import METHODS, preset_config
+from guider.methods.presets import Preset
 from guider.problem import Problem
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
 from guider.tasks import find_task
-
-LABELS = {
-    "opal": "OPAL",
-    "gcsl": "GCSL",
-    "wgcsl": "WGCSL",
-    "cql-her": "CQL+HER",
-    "bc": "BC",
-    "iql": "IQL",
-    "hiql": "HIQL",
-    "hiql-places": "HIQL on places",
-    "guider": "Guider",
-    "guider-gcsl": "Guider + GCSL",
-    "guider-wgcsl": "Guider + WGCSL",
-    "guider-cql": "Guider + CQL",
-}
 
 
 @dataclass(frozen=True)
@@ -69,7 +54,9 @@ class Target:
 
 def of_method(method: str) -> Variant:
     """A method as it is."""
-    return Variant(method, LABELS.get(method, method), method)
+    if method not in METHODS:
+        raise GuiderError(f"there is no method {method!r}; {names_like(method, METHODS)}")
+    return Variant(method, METHODS[method].label, method)
 
 
 GUIDER = of_method("guider")
@@ -236,11 +223,6 @@ def make_plan(name: str, protocol: Protocol, tasks: Sequence[str] = (), methods:
             raise GuiderError(f"--set {setting}: {name} has no runs of a method {method!r}")
     known: set[str] = set()
     for variant in variants:
-        if variant.method not in METHODS:
-            raise GuiderError(
-                f"there is no method {variant.method!r}; {names_like(variant.method, METHODS)}"
-                + (" (to be chosen with --methods)" if target.by_method else "")
-            )
         if compared := variant.settings.keys() & _settings_of(variant.method, protocol):
             raise GuiderError(f"{name} compares values of {compared.pop()}; leave it out of --set")
         known |= flatten(to_dict(preset_config(variant.method, protocol.preset, Problem()))).keys()
