@@ -15,7 +15,8 @@ from jax import tree
 
 import guider
 from guider import runs
-from guider.cli import COMMANDS, main
+from guider.cli import main
+from guider.commands import COMMANDS
 from tools import results
 
 TINY = [

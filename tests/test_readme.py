@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from conftest import make_ragged, tiny
 
-from guider.cli import COMMANDS
+from guider.commands import COMMANDS
 from guider.methods import preset_config
 
 README = (Path(__file__).parent.parent / "README.md").read_text()

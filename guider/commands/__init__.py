@@ -1,0 +1,23 @@
+"""The commands, a file each: a function whose signature is the command's options and whose docstring is its help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from guider.commands.collect import collect
+from guider.commands.data import data
+from guider.commands.evaluate import evaluate
+from guider.commands.plot import plot
+from guider.commands.reproduce import reproduce
+from guider.commands.tasks import tasks
+from guider.commands.train import train
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "train": train,
+    "evaluate": evaluate,
+    "plot": plot,
+    "tasks": tasks,
+    "data": data,
+    "collect": collect,
+    "reproduce": reproduce,
+}

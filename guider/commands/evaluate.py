@@ -1,0 +1,66 @@
+"""`guider evaluate`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+
+from guider.commands.options import Json, RunDirectory
+from guider.commands.screen import answer, bar
+
+
+def evaluate(
+    run: RunDirectory,
+    episodes: int | None = None,
+    first_seed: int | None = None,
+    data: str | None = None,
+    as_json: Json = False,
+) -> None:
+    """Score a finished run: success in the environment, or, for your own data, scores on held-out episodes.
+
+    The result, with its whole protocol, is also written to RUN/evaluation.json.
+
+    Args:
+        run: Directory of the run.
+        episodes: Task only: episodes per trained seed, by default 100.
+        first_seed: Task only: environment seeds count up from here, by default 0.
+        data: Own data and mazes: where the run's data is now, if it has moved.
+        as_json: Print one JSON document instead of text.
+    """
+    from guider import api
+
+    with bar("evaluating", "steps") as show:
+        result = api.score(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
+    answer(result, _evaluation_table(result), as_json)
+    api.keep_score(run, result)  # after it was shown: the place may be read-only
+
+
+def _evaluation_table(result: dict[str, Any]) -> Table:
+    title = f"{result['task'] or result['data']}, {result['method']}, preset {result['preset']}"
+    table = Table(box=None, title=title, caption=f"acts by the {result['acts_by']}")
+    table.add_column("seed")
+    if result["task"] is None:
+        names = list(result["per_seed"][0])
+        for name in names:
+            table.add_column(name.replace("_", " "))
+        for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
+            table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
+        return table
+    in_maze = ("fell / stuck / time",) if "ending" in result["per_seed"][0]["episodes"] else ()
+    guided = ("subgoals off data", "in walls") if "subgoals_in_walls" in result["per_seed"][0] else ()
+    for name in (result["unit"], "95 % interval", "median steps when met", *in_maze, *guided):
+        table.add_column(name)
+    for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
+        low, high = scores["interval_95"]
+        cells = [f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"])]
+        if in_maze:
+            endings = scores["episodes"]["ending"]
+            cells.append(" / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time")))
+        if guided:
+            shares = (scores["subgoals_off_data"], scores["subgoals_in_walls"])
+            cells += ["?" if share is None else f"{100 * share:.1f} %" for share in shares]
+        table.add_row(str(seed), *cells)
+    low, high = result["interval_95"]
+    table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
+    return table
