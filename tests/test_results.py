@@ -38,7 +38,7 @@ def test_tables_by_hand(tmp_path):
     theirs = result([[100, 100]], "fell") | {"commands": ["# theirs"]}
     write_json(tmp_path / "antmaze-large-diverse" / "d4rl-policy-guider-fast-5.json", theirs)
     beside = results.tables(tmp_path)["antmaze-d4rl-policy"]
-    assert "D4RL's own ant policy, data seeds 5 | 100 |" in beside and beside.endswith("```\n# theirs\n```")
+    assert "D4RL's own ant policy, data seed 5 | 100 |" in beside and beside.endswith("```\n# theirs\n```")
     table = results.tables(tmp_path)["antmaze"]
     row = table.splitlines()[2]
     assert re.sub(r"\(.*?\)", "()", row) == (

@@ -107,7 +107,8 @@ def antmaze(store: Path, variant: str, label: str) -> list[Row]:
         if files:
             seeds = ", ".join(file.stem.removeprefix(f"{variant}-") for file in files)
             results = tuple(parse_json(file) for file in files)
-            rows.append(Row(f"antmaze-{size}-diverse", f"{label}, data seeds {seeds}", results))
+            data = f"{label}, data seed{'s' if len(files) > 1 else ''} {seeds}"
+            rows.append(Row(f"antmaze-{size}-diverse", data, results))
     return rows
 
 
