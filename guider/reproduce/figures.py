@@ -18,7 +18,7 @@ from guider.evaluation import Trace, rollout
 from guider.plots import canvas, caption, episodes_in_maze
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.reproduce.plans import Plan, file_name
-from guider.reproduce.report import Cell, Grid, summary
+from guider.reproduce.scores import Cell, Grid, summary
 from guider.statistics import mean_and_deviation
 from guider.tasks import find_task
 
