@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.episodes import Episodes, make_episodes
+from guider.data.episodes import Episodes, make_episodes
+from guider.learning.problem import Problem
+from guider.learning.processor import settled
+from guider.learning.training import compile_chunk, init_seeds, no_sums, seed_keys
 from guider.methods import guider
 from guider.methods.guider import GuiderConfig, guider_config
 from guider.methods.presets import Preset
 from guider.methods.view import prepare
-from guider.problem import Problem
-from guider.processor import settled
-from guider.training import compile_chunk, init_seeds, no_sums, seed_keys
 
 STAGES = ("latent", "high", "low")
 """Short names of the method's stages, in its order."""

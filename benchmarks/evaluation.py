@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.common import print_table, ratios, show_ratio, verdict
-from guider.episodes import Spaces
-from guider.evaluation import rollout
+from guider.data.episodes import Spaces
+from guider.evaluation.rollouts import rollout
+from guider.learning.problem import Problem
 from guider.methods import guider
 from guider.methods.guider import guider_config
+from guider.methods.policy import Policy
 from guider.methods.view import unit_scale
-from guider.policy import Policy
-from guider.problem import Problem
 from guider.tasks import Task, find_task
 from guider.tasks.types import VectorEnv
 

@@ -20,7 +20,7 @@ from benchmarks.common import (
     show_ratio,
     trainer,
 )
-from guider.episodes import Episodes
+from guider.data.episodes import Episodes
 
 
 def measure(stage: str, episodes: Episodes, seeds: int, rounds: int, seconds: float) -> dict[str, Any]:

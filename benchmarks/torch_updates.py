@@ -22,15 +22,15 @@ import torch
 from torch import Tensor, nn
 
 from guider.learners import AwrConfig
+from guider.learning.networks import LOG_STD_RANGE
+from guider.learning.samplers import Data
 from guider.methods.guider import GoalPolicyConfig, GuiderConfig
-from guider.networks import LOG_STD_RANGE
-from guider.samplers import Data
 
 LAGRANGE_RANGE = (0.0, 1e6)
 
 
 class TorchData(NamedTuple):
-    """guider.samplers.Data as tensors."""
+    """guider.learning.samplers.Data as tensors."""
 
     observations: Tensor
     actions: Tensor
@@ -58,7 +58,7 @@ def mlp(sizes: Sequence[int], activation: nn.Module | None = None, dropout: floa
 
 
 def copy_layers(network: nn.Sequential, layers: Iterable[tuple[Any, Any]]) -> None:
-    """Give the network the weights [in, out] and biases [out] of guider.networks."""
+    """Give the network the weights [in, out] and biases [out] of guider.learning.networks."""
     linear = [module for module in network if isinstance(module, nn.Linear)]
     with torch.no_grad():
         for module, (weight, bias) in zip(linear, layers, strict=True):

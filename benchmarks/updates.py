@@ -33,12 +33,12 @@ from benchmarks.common import (
     trainer,
     verdict,
 )
-from guider.episodes import Episodes, Spaces
+from guider.data.episodes import Episodes, Spaces
+from guider.learning.networks import Layers, mlp
+from guider.learning.processor import describe
 from guider.methods import guider, subgoal_policy
 from guider.methods.guider import GuiderConfig
 from guider.methods.view import prepare, unit_scale
-from guider.networks import Layers, mlp
-from guider.processor import describe
 from guider.tasks.simulation import available_cores
 
 TARGETS = {"latent": 4.0, "high": 1.3, "low": 2.5}
@@ -171,7 +171,7 @@ def measure_switches(episodes: Episodes, rounds: int, seconds: float) -> dict[st
 
 
 def unshared_twin_values(twins: Layers, context: jax.Array, actions: jax.Array) -> jax.Array:
-    """guider.networks.twin_values with the context repeated for every sample before the first layer."""
+    """guider.learning.networks.twin_values with the context repeated for every sample before the first layer."""
     if actions.ndim == 3:
         context = jnp.repeat(context[:, None], actions.shape[1], axis=1)
     inputs = jnp.concatenate([context, actions], axis=-1)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from guider.api import evaluate, inspect, load, resume, train
     from guider.data import load as load_data
-    from guider.episodes import Episodes, make_episodes
-    from guider.errors import GuiderError, GuiderWarning
-    from guider.policy import Agent, Policy, act, initial_state
+    from guider.data.episodes import Episodes, make_episodes
+    from guider.methods.policy import Agent, Policy, act, initial_state
+    from guider.support.errors import GuiderError, GuiderWarning
 
 __all__ = [
     "Agent",
@@ -32,9 +32,9 @@ __all__ = [
 
 _HOMES = {
     **dict.fromkeys(("evaluate", "inspect", "load", "resume", "train"), "api"),
-    **dict.fromkeys(("Episodes", "make_episodes"), "episodes"),
-    **dict.fromkeys(("GuiderError", "GuiderWarning"), "errors"),
-    **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "policy"),
+    **dict.fromkeys(("Episodes", "make_episodes"), "data.episodes"),
+    **dict.fromkeys(("GuiderError", "GuiderWarning"), "support.errors"),
+    **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "methods.policy"),
 }
 
 

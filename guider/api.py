@@ -13,25 +13,27 @@ from typing import Any
 import numpy as np
 
 from guider import data as data_sources
-from guider import processor, runs
-from guider.config import differences, override
-from guider.episodes import IN_MEMORY, Episodes
-from guider.errors import GuiderError, GuiderWarning
-from guider.evaluation import Rollouts, bootstrap_interval, rollout, success_interval
-from guider.files import user_path
-from guider.heldout import held_out_scores
+from guider import runs
+from guider.data.episodes import IN_MEMORY, Episodes
+from guider.evaluation.heldout import held_out_scores
+from guider.evaluation.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
+from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval
+from guider.learning import processor
+from guider.learning.problem import Problem
+from guider.learning.samplers import no_window
+from guider.learning.training import Chunk
 from guider.methods import METHODS, preset_config
+from guider.methods.policy import Agent, Policy
 from guider.methods.presets import Preset
 from guider.methods.view import check_radius, data_use, learned_windows
-from guider.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
-from guider.policy import Agent, Policy
-from guider.problem import Problem
 from guider.runs import Pace, Run, RunSpec
-from guider.samplers import no_window
+from guider.support import files
+from guider.support.config import differences, override
+from guider.support.errors import GuiderError, GuiderWarning
+from guider.support.files import user_path
 from guider.tasks import Task, find_task
 from guider.tasks.mazes import Maze
 from guider.tasks.types import SCORE_UNITS
-from guider.training import Chunk
 
 DEFAULT_PACE = Pace()
 TUNING_SEED = 1_000_000
@@ -254,7 +256,7 @@ def evaluate(run: str | Path | Run, **options: Any) -> dict[str, Any]:
 
 def keep_score(run: str | Path | Run, result: dict[str, Any]) -> None:
     """Write what `score` returned into the run's evaluation.json."""
-    runs.write_json(_open(run).directory / "evaluation.json", result)
+    files.write_json(_open(run).directory / "evaluation.json", result)
 
 
 def score(
@@ -268,7 +270,7 @@ def score(
     """The score of a finished run's last checkpoint.
 
     On a task: `episodes` episodes (100) for every seed, environment seeds first_seed (0) + seed index * episodes + e.
-    On one's own data: the episodes that training never saw (see guider.heldout).
+    On one's own data: the episodes that training never saw (see guider.evaluation.heldout).
     Returns the score with its protocol: environment, data, preset and its departures, seeds, interval.
     """
     count, first = 100 if episodes is None else episodes, 0 if first_seed is None else first_seed
@@ -484,7 +486,7 @@ def _with_evaluation(
                 "unit": SCORE_UNITS[task.score],
                 "episodes": episodes,
             }
-            runs.append_line(directory / "evaluations.jsonl", line)
+            files.append_line(directory / "evaluations.jsonl", line)
 
     return callback
 

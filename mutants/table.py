@@ -69,7 +69,7 @@ _STARTS = "test_training.py::test_training_starts_where_it_is_told"
 _KNOWN = "test_training.py::test_what_is_known_is_asked_before_a_stage_begins_alone"
 
 _TABLE: dict[str, list[tuple[str, str, str]]] = {
-    "guider/losses.py": [
+    "guider/learning/losses.py": [
         ("parts) < radius, 0.0", "parts) <= radius, 0.0", "test_losses.py"),
         ("0.0, -1.0).sum(axis=-1)", "0.0, -1.0).min(axis=-1)", "test_losses.py"),
         ("jnp.exp(2 * (p.log_std - q.log_std))", "jnp.exp(p.log_std - q.log_std)", "test_losses.py"),
@@ -98,7 +98,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("        return -policy.log_prob(action)", "        return policy.log_prob(action)", "test_losses.py"),
         ("(misses + policy.log_std + jnp", "(misses + jnp", "test_losses.py"),
     ],
-    "guider/networks.py": [
+    "guider/learning/networks.py": [
         ("self.mean + jnp.exp(self.log_std) * noise", "self.mean + self.log_std * noise", "test_losses.py"),
         ("-0.5 * standardised**2 - self.log_std", "-0.5 * standardised**2 + self.log_std", "test_losses.py"),
         ("hidden / (1 - dropout)", "hidden", "test_losses.py"),
@@ -114,14 +114,14 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("_SMALL = 1e-3", "_SMALL = 1e-2", _INITIALISED),
         ("_HIDDEN_BIAS = 0.1", "_HIDDEN_BIAS = 0.0", _INITIALISED),
     ],
-    "guider/optimisers.py": [
+    "guider/learning/optimisers.py": [
         ("value - rate * step", "value + rate * step", "test_optimisers.py"),
         ("0.5 * (1 + jnp.cos", "0.5 * (1 - jnp.cos", "test_optimisers.py"),
         ("jnp.minimum(moments.count / updates, 1.0)", "moments.count / updates", "test_optimisers.py"),
         ("if not decay", "if decay", "test_optimisers.py"),
         ("incremental_update(params, target, rate)", "incremental_update(target, params, rate)", "test_optimisers.py"),
     ],
-    "guider/samplers.py": [
+    "guider/learning/samplers.py": [
         ("later = np.minimum(rows + period_steps, last)", "later = np.minimum(rows + 1, last)", "test_samplers.py"),
         ('if boundary == "drop" else 1) <= last', 'if boundary == "drop" else 1) < last', "test_samplers.py"),
         ('if boundary == "drop" else 1)', 'if boundary == "drop" else 0)', "test_samplers.py"),
@@ -172,7 +172,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("data.actions[inside], rows < last)", "data.actions[inside], rows <= last)", _WINDOWS),
         ("inside = jnp.minimum(rows, last)", "inside = rows", _WINDOWS),
     ],
-    "guider/goals.py": [
+    "guider/data/goals.py": [
         ("keepdims=True) ** 0.5", "keepdims=True)", "test_goals.py"),
         ("squares[..., list(part)].sum", "squares[..., list(part)].max", "test_goals.py"),
         ("parts).max(axis=-1)", "parts).min(axis=-1)", "test_goals.py"),
@@ -181,7 +181,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("atol=1e-5", "atol=1e-2", "test_goals.py"),
         ("int(np.argmax(equal))", "int(np.flatnonzero(equal)[-1])", "test_goals.py"),
     ],
-    "guider/evaluation.py": [
+    "guider/evaluation/rollouts.py": [
         ("distances <= task.radius", "distances < task.radius", "test_evaluation.py"),
         ("parts_met |= met", "parts_met = met", "test_evaluation.py"),
         ("steps_met += met.all(axis=1)", "steps_met += met.any(axis=1)", "test_evaluation.py"),
@@ -201,7 +201,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("rng.integers(seeds, size=(resamples, seeds, 1))", "np.arange(seeds)[:, None]", "test_evaluation.py"),
         ("[0.025, 0.975]", "[0.05, 0.95]", "test_evaluation.py"),
     ],
-    "guider/statistics.py": [
+    "guider/evaluation/statistics.py": [
         ("np.std(scores)", "np.std(scores, ddof=1)", "test_statistics.py"),
         ("runs.shape[-1] // 4", "runs.shape[-1] // 3", "test_statistics.py"),
         ("cut : runs.shape[-1] - cut", "cut:", "test_statistics.py"),
@@ -211,7 +211,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("size=(RESAMPLES, seeds, tasks)), np", "size=(RESAMPLES, seeds, 1)), np", "test_statistics.py"),
         ("np.arange(tasks)]", "rng.permutation(tasks)]", "test_statistics.py"),
     ],
-    "guider/episodes.py": [
+    "guider/data/episodes.py": [
         ("self.starts + lengths - 1, lengths", "self.starts + lengths, lengths", "test_episodes.py"),
         ("np.minimum(low[goal], self.goals.min(axis=0))", "low[goal]", "test_episodes.py"),
         ("np.maximum(high[goal], self.goals.max(axis=0))", "high[goal]", "test_episodes.py"),
@@ -226,7 +226,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("_MOST_LOST * (high[coarse] - low[coarse])", "_MOST_LOST", "test_episodes.py"),
         ("lost = np.fmax(lost, np.fmax", "lost = np.fmin(lost, np.fmax", "test_episodes.py"),
     ],
-    "guider/heldout.py": [
+    "guider/evaluation/heldout.py": [
         ("rows + period_steps, last[rows]", "rows + 1, last[rows]", "test_heldout.py"),
         ("(episodes.action_high + episodes.action_low) / 2) / half", "0) / half", "test_heldout.py"),
         ("actions.var(axis=0)", "actions.var(axis=1)", "test_heldout.py"),
@@ -240,7 +240,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("len(chosen) >= 3", "len(chosen) >= 2", "test_heldout.py"),
         ("np.ptp(chosen) > 0", "np.ptp(chosen) >= 0", "test_heldout.py"),
     ],
-    "guider/policy.py": [
+    "guider/methods/policy.py": [
         ("observation = jnp.clip(observation, policy.state_low, policy.state_high)", "pass", "test_policy.py"),
         (
             "goal = jnp.clip(goal, policy.state_low[entries]",
@@ -522,7 +522,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("default_rng(int(seed))", "default_rng(0)", _SEEDED),
         ("rows = np.flatnonzero(active)", "rows = np.arange(self.count)", _STAY),
     ],
-    "guider/training.py": [
+    "guider/learning/training.py": [
         ("stage_key = jax.random.fold_in(key, stage_index)", "stage_key = key", _UPDATES),
         ("fold_in(stage_key, update)", "fold_in(stage_key, 0)", _UPDATES),
         ("jax.tree.map(jnp.add, sums, metrics)", "metrics", _UPDATES),
@@ -534,7 +534,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("if done == 0 and (part", "if (part", _KNOWN),
         ("Position(index, done), means", "Position(index, last), means", _STOPS),
     ],
-    "guider/reproduce/report.py": [
+    "guider/reproduce/scores.py": [
         ('["horizon_steps"] if counts_steps else 100', '["horizon_steps"]', _REPORTED),
         ("== SCORE_UNITS", "!= SCORE_UNITS", _REPORTED),
         (
@@ -543,11 +543,13 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
             _REPORTED,
         ),
         ("np.array(cell.paper[0])", "cell.scores", _REPORTED),
-        ("{cell['mean']:.1f}** ± {cell['deviation']:.1f}", "{cell['deviation']:.1f}** ± {cell['mean']:.1f}", _REPORTED),
         ("interquartile_mean(ours)),", "ours.mean()),", _REPORTED),
         ('"metrics.jsonl")) / 60', '"metrics.jsonl"))', _PROTOCOL),
         ("if all(d.get(name, ...) == value", "if any(d.get(name, ...) == value", _PROTOCOL),
         ("asked.first_seed + asked.seeds - 1", "asked.first_seed + asked.seeds", _PROTOCOL),
+    ],
+    "guider/reproduce/report.py": [
+        ("{cell['mean']:.1f}** ± {cell['deviation']:.1f}", "{cell['deviation']:.1f}** ± {cell['mean']:.1f}", _REPORTED),
     ],
 }
 

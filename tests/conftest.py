@@ -17,10 +17,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 # Nearly all of a test's time goes into compiling programs that run for moments: optimise them less.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")
 
-from guider.config import flatten, override, to_dict
-from guider.episodes import Episodes, make_episodes
+from guider.data.episodes import Episodes, make_episodes
+from guider.learning.problem import Problem
 from guider.methods.guider import GuiderConfig, guider_config
-from guider.problem import Problem
+from guider.support.config import flatten, override, to_dict
 
 C = TypeVar("C")
 

@@ -12,9 +12,9 @@ from recordings import GOAL, ends, walk, write_npz
 import guider
 from guider import api, runs
 from guider.cli import main
-from guider.episodes import make_episodes
-from guider.errors import GuiderError, GuiderWarning
-from guider.processor import settled
+from guider.data.episodes import make_episodes
+from guider.learning.processor import settled
+from guider.support.errors import GuiderError, GuiderWarning
 
 LENGTHS = [60] * 10
 

@@ -15,13 +15,13 @@ from conftest import make_ragged
 from benchmarks.common import STAGES
 from benchmarks.updates import update_flops
 from guider.learners import Transitions, awr
+from guider.learning.networks import Gaussian, gaussian_head, mlp
+from guider.learning.problem import Problem
+from guider.learning.samplers import Windows
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, GuiderState, guider_config
 from guider.methods.view import prepare, unit_scale
-from guider.networks import Gaussian, gaussian_head, mlp
-from guider.problem import Problem
-from guider.samplers import Windows
 
 EPISODES = make_ragged()
 SPACES = EPISODES.spaces

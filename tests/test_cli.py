@@ -17,6 +17,7 @@ import guider
 from guider import runs
 from guider.cli import main
 from guider.commands import COMMANDS
+from guider.support import files
 from tools import results
 
 TINY = [
@@ -76,7 +77,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
     plain, watched = (runs.open_run(tmp_path / name).policies()[0] for name in ("plain", "watched"))
     for a, b in zip(tree.leaves(plain), tree.leaves(watched), strict=True):
         np.testing.assert_array_equal(a, b)
-    (line,) = runs.read_lines(tmp_path / "watched" / "evaluations.jsonl")
+    (line,) = files.read_lines(tmp_path / "watched" / "evaluations.jsonl")
     assert line["update"] == 4 and 0 <= line["score"][0] <= 100
 
 

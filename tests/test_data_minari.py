@@ -10,8 +10,8 @@ import pytest
 from recordings import GOAL, walk
 
 from guider.data import load
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
+from guider.data.episodes import Episodes, make_episodes
+from guider.support.errors import GuiderError
 
 
 @pytest.fixture

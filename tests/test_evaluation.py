@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.evaluation import bootstrap_interval, rollout, success_interval, wilson_interval
+from guider.evaluation.rollouts import bootstrap_interval, rollout, success_interval, wilson_interval
 from guider.tasks import find_task
 
 PATHS = np.array(
@@ -49,8 +49,8 @@ def scored(score, parts, monkeypatch, episodes=2):
         begins.append(reset_mask.tolist())
         return jnp.zeros(2), state
 
-    monkeypatch.setattr("guider.evaluation.compiled_act", act)
-    monkeypatch.setattr("guider.evaluation.initial_state", lambda policy, count: None)
+    monkeypatch.setattr("guider.evaluation.rollouts.compiled_act", act)
+    monkeypatch.setattr("guider.evaluation.rollouts.initial_state", lambda policy, count: None)
     task = replace(
         find_task("pointmaze-umaze"),
         goal_indices=(0, 1),

@@ -8,10 +8,10 @@ from conftest import tiny
 
 import guider
 from guider import api
-from guider.config import differences
 from guider.data.write import write_d4rl
+from guider.learning.problem import Problem
 from guider.methods import preset_config
-from guider.problem import Problem
+from guider.support.config import differences
 from guider.tasks import TASKS
 
 GUIDED = ("fetch-push-expert", "kitchen-complete")

@@ -11,20 +11,21 @@ import pytest
 from conftest import make_ragged, tiny
 from test_training import train_guider
 
-from guider import losses, runs
-from guider.config import differences, from_dict, override, to_dict
-from guider.episodes import make_episodes
-from guider.errors import GuiderError
+from guider import runs
+from guider.data.episodes import make_episodes
+from guider.learning import losses
+from guider.learning.networks import twin_values
+from guider.learning.problem import Problem
+from guider.learning.samplers import HighBatch, LowBatch, Windows
+from guider.learning.training import init_seeds, train
 from guider.methods import guider as method
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, guider_config
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.policy import Policy, act, initial_state
 from guider.methods.view import Scale, ViewConfig, prepare
-from guider.networks import twin_values
-from guider.policy import Policy, act, initial_state
-from guider.problem import Problem
-from guider.samplers import HighBatch, LowBatch, Windows
-from guider.training import init_seeds, train
+from guider.support.config import differences, from_dict, override, to_dict
+from guider.support.errors import GuiderError
 
 
 def policy_of(config, episodes, seeds=(0,)) -> Policy:

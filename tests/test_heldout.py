@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider import heldout
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
-from guider.heldout import held_out_scores
+from guider.data.episodes import Episodes, make_episodes
+from guider.evaluation import heldout
+from guider.evaluation.heldout import held_out_scores
+from guider.learning.networks import Gaussian
+from guider.learning.problem import Problem
 from guider.methods import METHODS
 from guider.methods.flat import FlatConfig
 from guider.methods.guider import GuiderConfig
 from guider.methods.view import ViewConfig
-from guider.networks import Gaussian
-from guider.problem import Problem
+from guider.support.errors import GuiderError
 
 
 def line(positions, lengths, actions=None) -> Episodes:

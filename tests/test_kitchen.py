@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from guider import evaluation
 from guider.collect import kitchen as collect
 from guider.collect.kitchen import OTHER_CHAINS, PLAY_DECK, WHOLE, Recipe, record, solved_rows
 from guider.collect.kitchen_demos import EPISODE_STEPS, FINGER_NOISE, NOISE_SPREADS, PLANS, _tremor, demonstrate
@@ -20,7 +19,8 @@ from guider.collect.reaching import LIMIT_MARGIN_RAD, Hand, joint_step
 from guider.data import load
 from guider.data.kitchen import kitchen_states
 from guider.data.write import write_d4rl
-from guider.errors import GuiderError
+from guider.evaluation import rollouts as evaluation
+from guider.support.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.kitchen import GOAL_INDICES, KITCHEN_TASKS, MIXED, RADIUS, SUBTASKS, goal_vector, make_simulator
 

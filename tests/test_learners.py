@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from conftest import make_ragged
 
-from guider.episodes import make_episodes
+from guider.data.episodes import make_episodes
 from guider.learners import CqlConfig, GcslConfig, IqlConfig, Transitions, WgcslConfig, cql, gcsl, iql, learner, wgcsl
 from guider.learners.regression import RegressionConfig
+from guider.learning.networks import Gaussian
+from guider.learning.problem import Problem
+from guider.learning.samplers import FlatBatch, sample_flat
 from guider.methods import flat
 from guider.methods.flat import FlatConfig
 from guider.methods.view import Scale, ViewConfig, prepare
-from guider.networks import Gaussian
-from guider.problem import Problem
-from guider.samplers import FlatBatch, sample_flat
 
 RATE = 1e-3
 

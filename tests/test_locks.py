@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from test_checkpoint import dead_pid
 
-from guider import locks
-from guider.errors import GuiderError
-from guider.locks import hold
+from guider.support import locks
+from guider.support.errors import GuiderError
+from guider.support.locks import hold
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_another_process_holds_it_until_it_is_killed(lock):
     script = f"""
 import sys
 from pathlib import Path
-from guider.locks import hold
+from guider.support.locks import hold
 with hold(Path({str(lock)!r}), "busy"):
     print("held", flush=True)
     sys.stdin.read()
@@ -75,7 +75,7 @@ def test_a_child_that_got_it_keeps_it(lock, monkeypatch):
     script = f"""
 import os, signal, subprocess
 from pathlib import Path
-from guider.locks import hold
+from guider.support.locks import hold
 with hold(Path({str(lock)!r}), "busy") as descriptor:
     print(subprocess.Popen(["sleep", "600"], pass_fds=(descriptor,), stdout=subprocess.DEVNULL).pid, flush=True)
     os.kill(os.getpid(), signal.SIGKILL)

@@ -9,16 +9,16 @@ import pytest
 from conftest import make_ragged
 from test_samplers import labelled
 
-from guider import losses
-from guider.config import Changes, from_dict, override, to_dict
-from guider.errors import GuiderError
+from guider.learning import losses
+from guider.learning.networks import Gru, gru, gru_init
+from guider.learning.problem import Problem
+from guider.learning.samplers import SkillBatch, Trajectories, device_data, sample_skills, sample_trajectories
 from guider.methods import opal as method
 from guider.methods.opal import OpalConfig, opal_config
+from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.methods.view import Scale
-from guider.networks import Gru, gru, gru_init
-from guider.policy import Policy, compiled_act, initial_state
-from guider.problem import Problem
-from guider.samplers import SkillBatch, Trajectories, device_data, sample_skills, sample_trajectories
+from guider.support.config import Changes, from_dict, override, to_dict
+from guider.support.errors import GuiderError
 
 SMALL: Changes = {
     "skills.updates": 10,

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.optimisers import adam_init, adam_step, cosine_rate, trail
+from guider.learning.optimisers import adam_init, adam_step, cosine_rate, trail
 
 
 def test_adam_is_that_of_its_paper():

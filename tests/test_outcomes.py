@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from guider.evaluation import Trace
-from guider.outcomes import ending, proposed, share_in_walls, share_off_data
+from guider.evaluation.outcomes import ending, proposed, share_in_walls, share_off_data
+from guider.evaluation.rollouts import Trace
 from guider.tasks import find_task
 from guider.tasks.antmaze import INITIAL_QPOS, on_its_back
 from guider.tasks.mazes import make_maze

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import guider
-from guider import physics
+from guider.support import physics
 
 PRINT = "import os, runpy, sys; runpy.run_path(sys.argv[1])['mujoco'].MjSpec(); print(os.environ.get('MUJOCO_GL'))"
 

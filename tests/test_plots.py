@@ -16,10 +16,12 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from guider import plots
-from guider.episodes import Episodes, make_episodes
-from guider.evaluation import Rollouts, Trace
+from guider.data.episodes import Episodes, make_episodes
+from guider.evaluation.rollouts import Rollouts, Trace
+from guider.learning.problem import Problem
 from guider.methods import guider
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.policy import Policy
 from guider.methods.subgoal_policy import SubgoalPolicyConfig
 from guider.methods.view import unit_scale
 from guider.plots import canvas
@@ -27,8 +29,6 @@ from guider.plots.curves import metric_labels
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoal_outcomes
 from guider.plots.mazes import in_wall, legible_subgoals, maze_positions, spread_positions
 from guider.plots.subgoals import data_outcomes, proposals
-from guider.policy import Policy
-from guider.problem import Problem
 from guider.runs import Run, RunSpec
 from guider.tasks import find_task
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import jax
 import pytest
 
-from guider import processor
+from guider.learning import processor
 
 
 @pytest.fixture

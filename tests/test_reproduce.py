@@ -18,10 +18,11 @@ import pytest
 
 from guider import runs
 from guider.cli import main
-from guider.errors import GuiderError
-from guider.locks import hold
 from guider.reproduce import figures, paper, report, runner
 from guider.reproduce.plans import Plan, PlannedRun, Protocol, make_plan
+from guider.support import files
+from guider.support.errors import GuiderError
+from guider.support.locks import hold
 from guider.tasks import find_task
 
 SETTINGS = {
@@ -74,7 +75,7 @@ def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, .
     """Put a finished run on disk that scored `scores`, a seed each."""
     directory = plan.directory(run)
     directory.mkdir(parents=True)
-    runs.write_json(directory.with_name(f"{directory.name}.json"), run.request())
+    files.write_json(directory.with_name(f"{directory.name}.json"), run.request())
     first = run.seeds[0] * plan.protocol.episodes
     result = {
         "task": run.task,
@@ -97,13 +98,13 @@ def fake(plan: Plan, run: PlannedRun, scores: list[float], curve: tuple[float, .
         "interval_95": [0.0, 100.0],
         "per_seed": [{"score": score} for score in scores],
     }
-    runs.write_json(directory / "evaluation.json", result | facts)
+    files.write_json(directory / "evaluation.json", result | facts)
     for seconds in (30.0, 60.0):
         line = {"stage": "goal policy", "update": 500, "total_updates": 500, "seconds": seconds, "metrics": {}}
-        runs.append_line(directory / "metrics.jsonl", line)
+        files.append_line(directory / "metrics.jsonl", line)
     for index, share in enumerate(curve, start=1):
         line = {"total_updates": 500 * index, "score": [share * score for score in scores], "episodes": 20}
-        runs.append_line(directory / "evaluations.jsonl", line)
+        files.append_line(directory / "evaluations.jsonl", line)
 
 
 # Plans
@@ -254,12 +255,12 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
     )
     run = out / "runs" / TASK / "guider-fast"
     deadline = time.monotonic() + 120
-    while not any(line["stage"] == "goal policy" for line in runs.read_lines(run / "metrics.jsonl")):
+    while not any(line["stage"] == "goal policy" for line in files.read_lines(run / "metrics.jsonl")):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert runs.read_lines(run / "metrics.jsonl")[-1]["total_updates"] < 3008
+    assert files.read_lines(run / "metrics.jsonl")[-1]["total_updates"] < 3008
     plan = make_plan("table1", protocol_in(made, out=out), [TASK], ["guider"])
     assert runner.state(plan, plan.runs[0]) == "interrupted"
     with pytest.raises(GuiderError, match=r"is not finished|stopped after|holds no checkpoint"):
@@ -272,7 +273,7 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
     assert (run / "evaluation.json").read_text() == (uninterrupted / "evaluation.json").read_text()
     for name in ("metrics.jsonl", "evaluations.jsonl"):
         ours, theirs = (
-            [line | {"seconds": 0} for line in runs.read_lines(folder / name)] for folder in (run, uninterrupted)
+            [line | {"seconds": 0} for line in files.read_lines(folder / name)] for folder in (run, uninterrupted)
         )
         assert ours == theirs
 
@@ -285,7 +286,7 @@ def test_a_signal_ends_the_runs_too_which_save_first(made, tmp_path):
     process = subprocess.Popen([sys.executable, "-m", "guider", *arguments], stderr=subprocess.PIPE, text=True)
     run = out / "runs" / TASK / "guider-fast"
     deadline = time.monotonic() + 120
-    while not any(line["stage"] == "goal policy" for line in runs.read_lines(run / "metrics.jsonl")):
+    while not any(line["stage"] == "goal policy" for line in files.read_lines(run / "metrics.jsonl")):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.01)
     process.send_signal(signal.SIGTERM)

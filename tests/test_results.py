@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from guider.files import write_json
+from guider.support.files import write_json
 from tools import results
 
 

@@ -16,14 +16,14 @@ import reference as ref
 from conftest import make_ragged
 from test_updates import RATE, plain, shaken
 
-from guider.config import Changes, override
+from guider.learning.problem import Problem
+from guider.learning.samplers import device_data, sample_trajectories, sample_value, sample_waypoints
+from guider.learning.training import Stage
 from guider.methods import hiql, opal
 from guider.methods.hiql import hiql_config
 from guider.methods.opal import opal_config
 from guider.methods.view import Scale
-from guider.problem import Problem
-from guider.samplers import device_data, sample_trajectories, sample_value, sample_waypoints
-from guider.training import Stage
+from guider.support.config import Changes, override
 
 PROBLEM = Problem(radius=1.5, reach_radius=1.5, period_steps=4)
 ROWS = 8

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import threading
 import time
 import warnings
@@ -23,16 +24,19 @@ from conftest import make_ragged, tiny
 from test_checkpoint import dead_pid
 
 import guider
-from guider import checkpoint, runs
-from guider.errors import GuiderError, GuiderWarning, Stopped
-from guider.files import read_json
-from guider.locks import hold
+from guider import runs
+from guider.learning.problem import Problem
+from guider.learning.processor import settled
+from guider.learning.training import Position
 from guider.methods import guider as method
 from guider.methods.guider import guider_config
 from guider.methods.view import prepare
-from guider.problem import Problem
-from guider.processor import settled
-from guider.training import Position
+from guider.runs import checkpoint, trainer
+from guider.runs.run import FORMAT
+from guider.support import files
+from guider.support.errors import GuiderError, GuiderWarning, Stopped
+from guider.support.files import read_json
+from guider.support.locks import hold
 
 SETTINGS = {
     "latent.updates": "6",
@@ -112,7 +116,7 @@ def test_train_writes_a_run_that_loads_and_acts(logs, tmp_path):
     opened = runs.open_run(tmp_path / "run")
     assert opened.spec.config.precision == settled("auto"), "a run keeps what auto meant when it began"
     assert opened.spec == run.spec
-    lines = runs.read_lines(tmp_path / "run" / "metrics.jsonl")
+    lines = files.read_lines(tmp_path / "run" / "metrics.jsonl")
     assert [line["stage"] for line in lines] == ["latent subgoals", "subgoal policy", "goal policy"]
     assert len(lines[0]["metrics"]["loss"]) == 2
     agent = guider.load(tmp_path / "run", seed=1)
@@ -125,7 +129,7 @@ def test_a_killed_run_resumes_to_the_bit(logs, tmp_path):
     script = f"""
 import os, signal, guider
 from guider import runs
-from guider.training import Chunk
+from guider.learning.training import Chunk
 def die(chunk, state):
     if chunk.stage.name == "goal policy" and chunk.position.update == 8:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -139,8 +143,19 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, on_chunk=die,
     resumed = guider.resume(tmp_path / "killed", pace=runs.Pace(5))
     whole = guider.train(data=logs, out=tmp_path / "whole", pace=runs.Pace(2), **OWN)
     assert_bit_equal(resumed, whole)
-    totals = [line["total_updates"] for line in runs.read_lines(tmp_path / "killed" / "metrics.jsonl")]
+    totals = [line["total_updates"] for line in files.read_lines(tmp_path / "killed" / "metrics.jsonl")]
     assert totals == sorted(set(totals)) and totals[-1] == 24
+
+
+def test_a_run_of_an_earlier_version_goes_on(tmp_path):
+    """Interrupted in its last stage, beside the same run to its end; both as commit 6ffbf9b wrote them."""
+    with tarfile.open(Path(__file__).parent / "earlier" / f"run-format-{FORMAT}.tar.xz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    resumed = guider.resume(tmp_path / "cut", make_ragged([12] * 10, recorded_goals=False))
+    found, whole = resumed.restore(), runs.open_run(tmp_path / "whole").restore()
+    assert found is not None and whole is not None and found[0] == Position(2, 6) == whole[0]
+    for ours, theirs in zip(jax.tree.leaves(found[1]), jax.tree.leaves(whole[1]), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4)  # other processors round otherwise
 
 
 def test_a_run_killed_at_any_moment_resumes(logs, tmp_path):
@@ -153,7 +168,7 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, pace=runs.Pac
     process = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
     metrics = tmp_path / "killed" / "metrics.jsonl"
     deadline = time.monotonic() + 120
-    while len(runs.read_lines(metrics)) < 4 and process.poll() is None and time.monotonic() < deadline:
+    while len(files.read_lines(metrics)) < 4 and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -201,7 +216,7 @@ def test_a_checkpoint_of_another_config_is_refused(copy):
     path = copy.directory / "run.json"
     values = json.loads(path.read_text())
     values["config"]["hidden"] = [9]
-    runs.write_json(path, values)
+    files.write_json(path, values)
     with pytest.raises(GuiderError, match="does not fit this run's config"):
         guider.load(copy.directory)
 
@@ -218,7 +233,7 @@ def test_a_checkpoint_of_another_config_is_refused(copy):
 )
 def test_a_damaged_run_is_explained(copy, change, message):
     path = copy.directory / "run.json"
-    runs.write_json(path, change(json.loads(path.read_text())))
+    files.write_json(path, change(json.loads(path.read_text())))
     with pytest.raises(GuiderError, match=message):
         runs.open_run(copy.directory)
 
@@ -311,7 +326,7 @@ def test_a_signal_stops_training_which_goes_on_to_the_bit(finished, tmp_path, nu
     assert str(stopped) == words and names(tmp_path / "run" / "checkpoints") == ["6"]
     resumed = guider.resume(tmp_path / "run", pace=runs.Pace(3))
     assert_bit_equal(resumed, whole)
-    lines = [runs.read_lines(run.directory / "metrics.jsonl") for run in (resumed, whole)]
+    lines = [files.read_lines(run.directory / "metrics.jsonl") for run in (resumed, whole)]
     assert [line | {"seconds": 0} for line in lines[0]] == [line | {"seconds": 0} for line in lines[1]]
 
 
@@ -337,7 +352,7 @@ def test_training_stops_within_a_chunk(logs, tmp_path):
         guider.train(data=logs, out=tmp_path / "run", pace=runs.Pace(10**9), **endless)
     thread.join()
     restored = runs.open_run(tmp_path / "run").restore()
-    (line,) = runs.read_lines(tmp_path / "run" / "metrics.jsonl")
+    (line,) = files.read_lines(tmp_path / "run" / "metrics.jsonl")
     assert restored is not None and restored[0] == Position(0, line["update"])
 
 
@@ -351,13 +366,13 @@ def test_only_one_process_trains_a_run(copy):
 
 def test_of_two_starts_in_one_place_one_wins(logs, tmp_path, monkeypatch):
     """The other made its run while this one prepared its data."""
-    prepare_data = runs._prepare
+    prepare_data = trainer._prepare
 
     def meanwhile(*arguments):
         shutil.copytree(tmp_path, tmp_path / "run")
         return prepare_data(*arguments)
 
-    monkeypatch.setattr(runs, "_prepare", meanwhile)
+    monkeypatch.setattr(trainer, "_prepare", meanwhile)
     with pytest.raises(GuiderError, match="run exists already and is never overwritten"):
         guider.train(data=logs, out=tmp_path / "run", **BC)
     assert names(tmp_path) == ["logs.npz", "run"] and names(tmp_path / "run") == ["logs.npz"]
@@ -380,7 +395,7 @@ def test_a_damaged_newest_checkpoint_is_trained_again(finished, copy):
     with pytest.warns(GuiderWarning, match=r"checkpoints/12 is damaged: .*checkpoints/9 is used in its place"):
         resumed = guider.resume(copy.directory, pace=runs.Pace(3))
     assert_bit_equal(resumed, finished[1])
-    assert [line["update"] for line in runs.read_lines(copy.directory / "metrics.jsonl")] == [3, 6, 9, 12]
+    assert [line["update"] for line in files.read_lines(copy.directory / "metrics.jsonl")] == [3, 6, 9, 12]
 
 
 @pytest.mark.parametrize(
@@ -388,7 +403,7 @@ def test_a_damaged_newest_checkpoint_is_trained_again(finished, copy):
 )
 def test_a_position_that_no_run_has_is_not_taken(copy, position):
     path = copy.directory / "checkpoints" / "12" / "manifest.json"
-    runs.write_json(path, runs.parse_json(path) | {"position": position})
+    files.write_json(path, files.parse_json(path) | {"position": position})
     with pytest.warns(GuiderWarning, match="checkpoints/12 cannot be at"):
         assert copy.restore() is not None
 
@@ -406,7 +421,7 @@ def test_damaged_lines_are_left_out_and_that_is_said(copy):
     wrong = [json.dumps(json.loads(lines[0]) | change) for change in ({"update": "3"}, {"seconds": -1}, {"metrics": 1})]
     path.write_text("\n".join([lines[0], "{", *wrong, "[" * 10**5, *lines[1:], '{"cut']))
     with pytest.warns(GuiderWarning, match=r"metrics\.jsonl is damaged and read without its line\(s\) 2, 3, 4, 5, 6$"):
-        assert [line["update"] for line in runs.read_lines(path)] == [3, 6, 9, 12]
+        assert [line["update"] for line in files.read_lines(path)] == [3, 6, 9, 12]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         guider.resume(copy.directory)
@@ -420,7 +435,7 @@ def test_a_line_that_does_not_fit_leaves_no_half(copy):
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 10, limits[1]))
     try:
         with pytest.raises(OSError, match="File too large"):
-            runs.append_line(path, {"update": 10**30})
+            files.append_line(path, {"update": 10**30})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_text() == before

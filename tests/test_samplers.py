@@ -10,8 +10,8 @@ from conftest import make_ragged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from guider.episodes import make_episodes
-from guider.samplers import (
+from guider.data.episodes import make_episodes
+from guider.learning.samplers import (
     Data,
     device_data,
     moves,

@@ -15,13 +15,15 @@ from conftest import make_ragged
 from test_runs import OWN, SETTINGS, assert_bit_equal, write_plain
 
 import guider
-from guider import locks, runs, stage_cache
-from guider.config import override
-from guider.errors import GuiderError, GuiderWarning
+from guider import runs
+from guider.learning.training import Position, init_seeds
 from guider.methods import METHODS
 from guider.methods.view import prepare
-from guider.stage_cache import stage_digest
-from guider.training import Position, init_seeds
+from guider.runs import stage_cache
+from guider.runs.stage_cache import stage_digest
+from guider.support import files, locks
+from guider.support.config import override
+from guider.support.errors import GuiderError, GuiderWarning
 
 STAGES = ["latent subgoals", "subgoal policy", "goal policy"]
 
@@ -52,7 +54,7 @@ def test_a_variant_trains_what_differs_and_ends_bit_equal(shared, tmp_path):
     alone, trained = train(logs, tmp_path / "alone", **without_prior)
     assert trained == STAGES
     assert_bit_equal(run, alone)
-    lines = [runs.read_lines(each.directory / "metrics.jsonl") for each in (run, alone)]
+    lines = [files.read_lines(each.directory / "metrics.jsonl") for each in (run, alone)]
     for ours, theirs in zip(*lines, strict=True):
         assert ours | {"seconds": 0} == theirs | {"seconds": 0}
 
@@ -82,7 +84,7 @@ def flip(path: Path) -> None:
     [
         lambda entry: (entry / "metrics.json").write_text((entry / "metrics.json").read_text()[:-9]),
         lambda entry: flip(entry / "metrics.json"),
-        lambda entry: runs.write_json(entry / "metrics.json", {"lines": [{"stage": "goal policy"}]}),
+        lambda entry: files.write_json(entry / "metrics.json", {"lines": [{"stage": "goal policy"}]}),
         lambda entry: (entry / "metrics.json").unlink(),
         lambda entry: next(entry.glob("*/manifest.json")).unlink(),
     ],

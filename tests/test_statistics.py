@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from guider.statistics import (
+from guider.evaluation.statistics import (
     interquartile_mean,
     mean_and_deviation,
     probability_of_improvement,

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider import training
+from guider.learning import training
+from guider.learning.training import Position, Stage, init_seeds, seed_keys, train
 from guider.methods import METHODS
 from guider.methods.view import prepare
-from guider.training import Position, Stage, init_seeds, seed_keys, train
 
 
 def equal(first, second) -> bool:

@@ -30,12 +30,12 @@ from guider.learners import (
     wgcsl,
 )
 from guider.learners.regression import RegressionConfig
+from guider.learning.networks import Gaussian
+from guider.learning.samplers import Windows
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.subgoal_policy import SubgoalPolicyConfig
 from guider.methods.view import Scale
-from guider.networks import Gaussian
-from guider.samplers import Windows
 
 RATE = 1e-2
 ROWS, INPUTS, ACTIONS = 6, 3, 2

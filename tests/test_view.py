@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.episodes import make_episodes
-from guider.errors import GuiderError, GuiderWarning
+from guider.data.episodes import make_episodes
+from guider.learning.problem import Problem
 from guider.methods.view import Scale, Use, ViewConfig, check_radius, data_use, prepare, wave_frequencies
-from guider.problem import Problem
+from guider.support.errors import GuiderError, GuiderWarning
 
 
 def line(positions, lengths, **more):

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from guider.data import load
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
+from guider.data.episodes import Episodes, make_episodes
+from guider.support.errors import GuiderError
 
 EPISODES, STEPS = 3, 4
 GOAL = (3, 4, 5)

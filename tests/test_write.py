@@ -16,10 +16,10 @@ from recordings import GOAL, walk
 
 from guider.cli import main
 from guider.data import load, write
+from guider.data.episodes import Episodes, make_episodes
 from guider.data.store import Recording
 from guider.data.write import check_destination, write_d4rl, write_minari
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
+from guider.support.errors import GuiderError
 
 LENGTHS = (7, 2, 1, 30, 12)
 

@@ -19,13 +19,13 @@ from typing import Any, cast
 import numpy as np
 
 from guider import runs
-from guider.config import differences
-from guider.evaluation import success_interval
-from guider.files import parse_json, write_json, write_text
+from guider.evaluation.rollouts import success_interval
+from guider.learning.problem import Problem
 from guider.methods import preset_config
 from guider.methods.presets import Preset
-from guider.problem import Problem
-from guider.reproduce.report import training_minutes
+from guider.reproduce.scores import training_minutes
+from guider.support.config import differences
+from guider.support.files import parse_json, write_json, write_text
 from guider.tasks import find_task
 
 ROOT = Path(__file__).parent.parent

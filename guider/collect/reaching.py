@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from guider.physics import mujoco
+from guider.support.physics import mujoco
 
 STEP_S = 0.08
 # An action of 1 puts the servo's set point 2 rad/s (the fingers': 2 m/s) times STEP_S ahead of the joint.

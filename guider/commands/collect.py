@@ -6,8 +6,8 @@ from pathlib import Path
 
 from guider.commands.options import Json, TaskName
 from guider.commands.screen import answer, bar
-from guider.errors import GuiderError
-from guider.files import user_path
+from guider.support.errors import GuiderError
+from guider.support.files import user_path
 
 
 def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, as_json: Json = False) -> None:

@@ -10,9 +10,9 @@ import tyro
 
 from guider.commands.options import Json, assignments
 from guider.commands.screen import answer, stage_bars
-from guider.errors import GuiderError
-from guider.files import user_path
 from guider.methods.presets import Preset
+from guider.support.errors import GuiderError
+from guider.support.files import user_path
 
 
 def train(
@@ -67,7 +67,8 @@ def train(
         log_to: Also send metrics to TensorBoard (into the run) or Weights & Biases; extras of the package.
         as_json: Print one JSON document instead of text.
     """
-    from guider import api, sinks
+    from guider import api
+    from guider.runs import sinks
 
     if resume is not None:
         said = (task, method, preset, seeds, first_seed, out, radius, reach_radius, period_steps, held_out, format)

@@ -12,14 +12,14 @@ import numpy as np
 from guider.data.arrays import read_arrays
 from guider.data.catalogue import MINARI_PREFIX
 from guider.data.describe import describe
+from guider.data.episodes import Episodes, make_episodes
 from guider.data.kitchen import KITCHEN_ACTIONS, kitchen_states, read_kitchen
 from guider.data.minari import dataset_directory, read_minari
 from guider.data.safety import check_path
 from guider.data.store import Recording, Store, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
-from guider.episodes import Episodes, make_episodes
-from guider.errors import GuiderError, GuiderWarning
-from guider.files import user_path
+from guider.support.errors import GuiderError, GuiderWarning
+from guider.support.files import user_path
 
 __all__ = ["FORMATS", "describe", "load"]
 

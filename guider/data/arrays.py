@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from guider.data.ends import find_ends
+from guider.data.episodes import check_goal_indices
 from guider.data.store import Recording, Store
-from guider.episodes import check_goal_indices
 
 _FEWEST_ROWS = 10_000
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from guider.episodes import SMALLEST_SPREAD, Episodes
+from guider.data.episodes import SMALLEST_SPREAD, Episodes
 
 _WINDOWS = (1, 5, 10, 20, 50, 100)
 _STILL_FRACTION = 1e-3

@@ -24,9 +24,9 @@ from urllib.request import Request, urlopen
 from guider.data.catalogue import MINARI_PREFIX, Dataset, RemoteFile
 from guider.data.safety import check_minari, size_text
 from guider.data.store import open_store
-from guider.errors import GuiderError
-from guider.files import user_path
-from guider.locks import hold
+from guider.support.errors import GuiderError
+from guider.support.files import user_path
+from guider.support.locks import hold
 
 Report = Callable[[int, int | None], None]
 """report(done, total): progress in bytes; total is None where the server does not say."""

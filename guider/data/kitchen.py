@@ -6,8 +6,8 @@ import numpy as np
 
 from guider.data.arrays import infos_goal
 from guider.data.ends import FLAGS, NUMBERS, find_ends
+from guider.data.episodes import check_goal_indices
 from guider.data.store import Recording, Store
-from guider.episodes import check_goal_indices
 
 KITCHEN_ACTIONS = 9
 # A kitchen state is 30 numbers: joint positions of the robot (9) and of the objects (21). Other entries of rows that

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from guider.config import override
 from guider.learners import awr, cql, gcsl, iql, wgcsl
 from guider.learners.awr import AwrConfig
 from guider.learners.cql import CqlConfig
@@ -11,6 +10,7 @@ from guider.learners.gcsl import GcslConfig
 from guider.learners.iql import IqlConfig
 from guider.learners.types import Learner, Transitions
 from guider.learners.wgcsl import WgcslConfig
+from guider.support.config import override
 
 __all__ = [
     "AwrConfig",

@@ -13,13 +13,13 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import ByDomain, Changes, check_fraction, check_positive, under
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, regress
 from guider.learners.types import Transitions
-from guider.networks import Initialisation, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
-from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
-from guider.training import Metrics
+from guider.learning import losses
+from guider.learning.networks import Initialisation, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
+from guider.learning.optimisers import Moments, Rate, adam_init, adam_step, trail
+from guider.learning.training import Metrics
+from guider.support.config import ByDomain, Changes, check_fraction, check_positive, under
 
 
 @dataclass(frozen=True)

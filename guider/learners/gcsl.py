@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider.config import ByDomain, Changes, under
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import Transitions
-from guider.networks import Layers, mlp_init
-from guider.optimisers import Moments, Rate, adam_init, adam_step
-from guider.training import Metrics
+from guider.learning.networks import Layers, mlp_init
+from guider.learning.optimisers import Moments, Rate, adam_init, adam_step
+from guider.learning.training import Metrics
+from guider.support.config import ByDomain, Changes, under
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from typing import Literal, NamedTuple
 
 import jax
 
-from guider import losses
-from guider.config import ByDomain, Changes, check_fraction, check_positive, under
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import LONG, Transitions
-from guider.networks import Layers, mlp, mlp_init, twin_init, twin_values
-from guider.optimisers import Moments, Rate, adam_init, adam_step, trail
-from guider.training import Metrics
+from guider.learning import losses
+from guider.learning.networks import Layers, mlp, mlp_init, twin_init, twin_values
+from guider.learning.optimisers import Moments, Rate, adam_init, adam_step, trail
+from guider.learning.training import Metrics
+from guider.support.config import ByDomain, Changes, check_fraction, check_positive, under
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from guider.config import ByDomain, Changes
+from guider.support.config import ByDomain, Changes
 
 LONG: Changes = {"discount": 0.995}
 """Preset `fast` where final goals lie hundreds of steps ahead."""

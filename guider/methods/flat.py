@@ -9,10 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import ByDomain, Changes, check_fraction, check_networks, check_shares, override
-from guider.episodes import Spaces
-from guider.errors import GuiderError
+from guider.data.episodes import Spaces
 from guider.learners import (
     CqlConfig,
     GcslConfig,
@@ -23,14 +20,17 @@ from guider.learners import (
     fast_learner,
     learner,
 )
+from guider.learning import losses
+from guider.learning.networks import Precision
+from guider.learning.optimisers import cosine_rate
+from guider.learning.problem import Problem
+from guider.learning.samplers import Data, FlatBatch, Future, sample_flat
+from guider.learning.training import Stage
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Precision
-from guider.optimisers import cosine_rate
-from guider.problem import Problem
-from guider.samplers import Data, FlatBatch, Future, sample_flat
-from guider.training import Stage
+from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_shares, override
+from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,8 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import (
-    ByDomain,
-    Changes,
-    check_fraction,
-    check_networks,
-    check_not_negative,
-    check_positive,
-    check_shares,
-    under,
-)
-from guider.episodes import Spaces
-from guider.goals import largest_distance
+from guider.data.episodes import Spaces
+from guider.data.goals import largest_distance
 from guider.learners import (
     AwrConfig,
     CqlConfig,
@@ -35,17 +24,28 @@ from guider.learners import (
     fast_learner,
     learner,
 )
+from guider.learning import losses
+from guider.learning.networks import Precision, twin_values
+from guider.learning.optimisers import cosine_rate
+from guider.learning.problem import Problem
+from guider.learning.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
+from guider.learning.training import Stage
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Precision, twin_values
-from guider.optimisers import cosine_rate
-from guider.problem import Problem
-from guider.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
-from guider.training import Stage
+from guider.support.config import (
+    ByDomain,
+    Changes,
+    check_fraction,
+    check_networks,
+    check_not_negative,
+    check_positive,
+    check_shares,
+    under,
+)
 
 
 @dataclass(frozen=True)

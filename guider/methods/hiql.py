@@ -18,19 +18,19 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
-from guider.episodes import Spaces
-from guider.errors import GuiderError
+from guider.data.episodes import Spaces
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
+from guider.learning import losses
+from guider.learning.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
+from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
+from guider.learning.problem import Problem
+from guider.learning.samplers import Data, ValueBatch, WaypointBatch, sample_value, sample_waypoints
+from guider.learning.training import Metrics, Stage
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
-from guider.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
-from guider.problem import Problem
-from guider.samplers import Data, ValueBatch, WaypointBatch, sample_value, sample_waypoints
-from guider.training import Metrics, Stage
+from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
+from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

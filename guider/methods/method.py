@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from guider.learning.problem import Problem
 from guider.methods.presets import Preset
-from guider.problem import Problem
 
 
 @dataclass(frozen=True)
 class Method:
     """One method; `config` is an instance of `config_type` throughout, and has the fields `problem`
-    (guider.problem), `view` (guider.methods.view), `precision`, of training (guider.networks), and `action_scale`, of
-    acting (guider.policy).
+    (learning/problem.py), `view` (view.py), `precision`, of training (learning/networks.py), and `action_scale`, of
+    acting (policy.py).
 
     label:    in tables and figures
     config:   (preset, problem) -> config

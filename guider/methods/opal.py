@@ -16,20 +16,20 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import ByDomain, Changes, check_fraction, check_networks, check_positive, under
-from guider.episodes import Spaces
+from guider.data.episodes import Spaces
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
+from guider.learning import losses
+from guider.learning.networks import Gaussian, Gru, Layers, Precision, gaussian_head, gru, gru_init, mlp, mlp_init
+from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate
+from guider.learning.problem import Problem
+from guider.learning.samplers import Data, SkillBatch, Trajectories, sample_skills, sample_trajectories
+from guider.learning.training import Metrics, Stage
 from guider.methods import subgoal_policy
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
-from guider.networks import Gaussian, Gru, Layers, Precision, gaussian_head, gru, gru_init, mlp, mlp_init
-from guider.optimisers import Moments, adam_init, adam_step, cosine_rate
-from guider.problem import Problem
-from guider.samplers import Data, SkillBatch, Trajectories, sample_skills, sample_trajectories
-from guider.training import Metrics, Stage
+from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, under
 
 
 @dataclass(frozen=True)

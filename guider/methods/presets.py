@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, TypeVar
 
-from guider.config import ByDomain, Changes, override
+from guider.learning.problem import Problem
 from guider.methods.view import ViewConfig
-from guider.problem import Problem
+from guider.support.config import ByDomain, Changes, override
 
 C = TypeVar("C")
 Preset = Literal["fast", "paper"]

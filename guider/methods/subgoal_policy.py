@@ -14,12 +14,28 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider import losses
-from guider.config import Changes, check_fraction, check_networks, check_not_negative, check_positive, check_shares
-from guider.errors import GuiderError
-from guider.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init, twin_init, twin_values
-from guider.optimisers import Moments, adam_init, adam_step, trail
-from guider.training import Metrics
+from guider.learning import losses
+from guider.learning.networks import (
+    Gaussian,
+    Initialisation,
+    Layers,
+    gaussian_head,
+    mlp,
+    mlp_init,
+    twin_init,
+    twin_values,
+)
+from guider.learning.optimisers import Moments, adam_init, adam_step, trail
+from guider.learning.training import Metrics
+from guider.support.config import (
+    Changes,
+    check_fraction,
+    check_networks,
+    check_not_negative,
+    check_positive,
+    check_shares,
+)
+from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

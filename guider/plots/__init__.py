@@ -11,15 +11,16 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from guider.episodes import Episodes
-from guider.evaluation import rollout
+from guider.data.episodes import Episodes
+from guider.evaluation.rollouts import rollout
 from guider.methods.guider import GuiderConfig
 from guider.plots import canvas
 from guider.plots.curves import learning_curves, metric_labels, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.plots.logs import subgoals_on_logs
 from guider.plots.mazes import episodes_in_maze, reachable_in_maze, spread_positions, subgoal_arrows
-from guider.runs import Run, RunSpec, read_lines
+from guider.runs import Run, RunSpec
+from guider.support.files import read_lines
 from guider.tasks.types import Task
 
 __all__ = [

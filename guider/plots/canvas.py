@@ -20,7 +20,7 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
-from guider.episodes import Episodes
+from guider.data.episodes import Episodes
 from guider.tasks.mazes import Maze
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.

@@ -10,11 +10,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from guider.episodes import Episodes
-from guider.evaluation import Trace
+from guider.data.episodes import Episodes
+from guider.evaluation.rollouts import Trace
+from guider.learning.problem import Problem
+from guider.methods.policy import Policy
 from guider.plots import canvas
-from guider.policy import Policy
-from guider.problem import Problem
 from guider.tasks.mazes import Maze
 
 

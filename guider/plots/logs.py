@@ -9,10 +9,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from guider.episodes import Episodes
+from guider.data.episodes import Episodes
+from guider.methods.policy import Policy
 from guider.plots import canvas
 from guider.plots.subgoals import prior_samples, proposals
-from guider.policy import Policy
 
 Kind = Literal["held-out", "training"]
 

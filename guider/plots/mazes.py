@@ -13,11 +13,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from guider.episodes import Episodes
-from guider.evaluation import Trace
+from guider.data.episodes import Episodes
+from guider.evaluation.rollouts import Trace
+from guider.methods.policy import Policy
 from guider.plots import canvas
 from guider.plots.subgoals import data_outcomes, prior_samples, proposals
-from guider.policy import Policy
 from guider.tasks.mazes import Maze
 from guider.tasks.types import Task
 

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.episodes import Episodes
+from guider.data.episodes import Episodes
+from guider.learning.networks import twin_values
 from guider.methods import guider, latent_subgoals
+from guider.methods.policy import Policy
 from guider.methods.view import learned_windows
-from guider.networks import twin_values
-from guider.policy import Policy
 
 
 def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

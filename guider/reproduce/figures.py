@@ -14,12 +14,13 @@ from matplotlib.ticker import EngFormatter
 
 from guider import data as data_sources
 from guider import runs
-from guider.evaluation import Trace, rollout
+from guider.evaluation.rollouts import Trace, rollout
+from guider.evaluation.statistics import mean_and_deviation
 from guider.plots import canvas, caption, episodes_in_maze
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.reproduce.plans import Plan, file_name
 from guider.reproduce.scores import Cell, Grid, summary
-from guider.statistics import mean_and_deviation
+from guider.support import files
 from guider.tasks import find_task
 
 COLOURS = (canvas.BLUE, canvas.ORANGE, canvas.GREEN, canvas.RED, "#CC79A7", "#56B4E9", canvas.DARK, canvas.WALL)
@@ -134,7 +135,7 @@ def _curves(plan: Plan, grid: Grid) -> Drawn:
     for axes, row in zip(panels, grid, strict=True):
         curves = []
         for cell in row:
-            lines = runs.read_lines(plan.directory(cell.run) / "evaluations.jsonl")
+            lines = files.read_lines(plan.directory(cell.run) / "evaluations.jsonl")
             updates = [line["total_updates"] for line in lines]
             scores = np.array([line["score"] for line in lines])
             mean, deviation = scores.mean(axis=1), scores.std(axis=1)

@@ -10,7 +10,7 @@ from typing import Any
 from guider.reproduce.paper import PaperScore
 from guider.reproduce.plans import Plan
 from guider.reproduce.scores import Cell, Grid, aggregate, cells, protocol, summary
-from guider.runs import write_json
+from guider.support.files import write_json
 
 
 def write(plan: Plan) -> tuple[dict[str, Any], list[Path]]:

@@ -4,7 +4,7 @@ Below OUT:
     plan.json                    the plans made last, one per table or figure
     runs/TASK/VARIANT-PRESET     a run (see guider.runs; -curve: with a learning curve), and beside it, as .json, what
                                  was asked of it
-    stages/                      stages that runs have in common (see guider.stage_cache)
+    stages/                      stages that runs have in common (see guider.runs.stage_cache)
     logs/                        what each run's commands printed
 """
 
@@ -26,11 +26,12 @@ import numpy as np
 
 from guider import data as data_sources
 from guider import runs
-from guider.errors import GuiderError, Stopped
-from guider.files import parse_line, read_json
-from guider.locks import hold
 from guider.reproduce.plans import Plan, PlannedRun, file_name
-from guider.stopping import on_signals
+from guider.support import files
+from guider.support.errors import GuiderError, Stopped
+from guider.support.files import parse_line, read_json
+from guider.support.locks import hold
+from guider.support.stopping import on_signals
 from guider.tasks import find_task
 from guider.tasks.simulation import available_cores
 
@@ -105,7 +106,7 @@ def write_plan(plan: Plan) -> Path:
     path = plan.protocol.out / "plan.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     plans = read_json(path, "remove it, and it is made anew") if path.exists() else {}
-    runs.write_json(path, plans | {plan.name: describe(plan)})
+    files.write_json(path, plans | {plan.name: describe(plan)})
     return path
 
 
@@ -244,7 +245,7 @@ class _Runner:
     def _begin(self, run: PlannedRun, cores: set[int]) -> _Job:
         path = _request_path(self.plan, run)
         path.parent.mkdir(parents=True, exist_ok=True)
-        runs.write_json(path, run.request())
+        files.write_json(path, run.request())
         first, *others = _commands(self.plan, run, self.states[run.name])
         return _Job(run, cores, others, self._start(first, self._log(run), cores))
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from guider.reproduce.paper import PaperScore
-from guider.reproduce.plans import Plan, PlannedRun, Variant
-from guider.reproduce.runner import evaluation, state
-from guider.runs import read_lines
-from guider.statistics import (
+from guider.evaluation.statistics import (
     interquartile_mean,
     mean_and_deviation,
     probability_of_improvement,
     stratified_bootstrap_interval,
 )
+from guider.reproduce.paper import PaperScore
+from guider.reproduce.plans import Plan, PlannedRun, Variant
+from guider.reproduce.runner import evaluation, state
+from guider.support.files import read_lines
 from guider.tasks.types import SCORE_UNITS
 
 

@@ -20,9 +20,9 @@ import numpy as np
 
 from guider.collect.ant_walker import walk
 from guider.collect.waypoints import Recipe, record
-from guider.errors import GuiderError
-from guider.files import user_path
-from guider.physics import mujoco
+from guider.support.errors import GuiderError
+from guider.support.files import user_path
+from guider.support.physics import mujoco
 from guider.tasks.mazes import Maze, make_maze, read_maze
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from guider.collect.fetch import EPISODE_STEPS, Recipe, record
 from guider.collect.fetch_experts import Expert, pick, push, reach, slide
 from guider.data.store import Recording
-from guider.physics import mujoco
+from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
 from guider.tasks.simulation import available_cores

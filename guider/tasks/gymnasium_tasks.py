@@ -20,8 +20,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from guider.errors import GuiderError
-from guider.physics import mujoco
+from guider.support.errors import GuiderError
+from guider.support.physics import mujoco
 from guider.tasks.goal_measure import Met, environments_rule, first_disagreement, radius_of
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation
 from guider.tasks.mazes import Maze, make_maze

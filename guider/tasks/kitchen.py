@@ -20,7 +20,7 @@ import numpy as np
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
 from guider.data.kitchen import kitchen_states
 from guider.data.store import Recording
-from guider.physics import mujoco
+from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
 from guider.tasks.simulation import available_cores

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from guider.errors import GuiderError
+from guider.support.errors import GuiderError
 
 Cell = tuple[int, int]
 

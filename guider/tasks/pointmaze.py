@@ -14,8 +14,8 @@ from functools import cache, partial
 import numpy as np
 
 from guider.collect.waypoints import Recipe, record
-from guider.files import user_path
-from guider.physics import mujoco
+from guider.support.files import user_path
+from guider.support.physics import mujoco
 from guider.tasks.mazes import Cell, Maze, make_maze, read_maze
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from guider.episodes import Episodes
-from guider.errors import GuiderError
-from guider.physics import mujoco
+from guider.data.episodes import Episodes
+from guider.support.errors import GuiderError
+from guider.support.physics import mujoco
 from guider.tasks.simulation import MujocoVectorEnv, Start
 
 STEPS_REPLAYED = 100

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from guider.physics import mujoco
+from guider.support.physics import mujoco
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from guider.config import check_positive
-from guider.goals import Parts
+from guider.data.goals import Parts
+from guider.support.config import check_positive
 
 
 @dataclass(frozen=True)

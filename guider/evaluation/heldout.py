@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.episodes import Episodes
-from guider.errors import GuiderError
+from guider.data.episodes import Episodes
 from guider.learners import learner
+from guider.learning.networks import twin_values
 from guider.methods import METHODS
 from guider.methods.guider import GuiderConfig, high_inputs, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
+from guider.methods.policy import Policy, initial_state
 from guider.methods.subgoal_policy import propose
 from guider.methods.view import learned_windows
-from guider.networks import twin_values
-from guider.policy import Policy, initial_state
+from guider.support.errors import GuiderError
 
 MAX_ROWS = 20_000
 INSIDE_95 = 1.959964

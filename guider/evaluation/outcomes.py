@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from guider.evaluation import Trace
+from guider.evaluation.rollouts import Trace
 from guider.tasks.mazes import Maze
 from guider.tasks.types import Task
 

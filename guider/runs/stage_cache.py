@@ -23,11 +23,11 @@ import jax
 import numpy as np
 from jax.extend.core import Var
 
-from guider import checkpoint
-from guider.errors import GuiderError, GuiderWarning
-from guider.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
-from guider.locks import clear_free, hold
-from guider.training import Position, Stage
+from guider.learning.training import Position, Stage
+from guider.runs import checkpoint
+from guider.support.errors import GuiderError, GuiderWarning
+from guider.support.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
+from guider.support.locks import clear_free, hold
 
 PyTree = Any
 

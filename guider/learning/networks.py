@@ -17,7 +17,7 @@ to 8 bits and adds up in float32, several times as fast on a GPU and on a CPU wi
 Parameters, inputs, outputs and everything else stay float32."""
 
 Precision = Literal["auto", "float32", "bfloat16"]
-"""The same as a setting; auto is what the processor is fastest in (guider.processor), settled when a run starts."""
+"""The same as a setting; auto is what the processor is fastest in (see processor.py), settled when a run starts."""
 
 Layers = tuple[tuple[jax.Array, jax.Array], ...]
 

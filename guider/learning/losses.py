@@ -10,8 +10,8 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from guider.goals import Parts, part_distances
-from guider.networks import Gaussian
+from guider.data.goals import Parts, part_distances
+from guider.learning.networks import Gaussian
 
 
 def goal_reward(achieved: jax.Array, goal: jax.Array, radius: float, parts: Parts = ()) -> jax.Array:

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider.episodes import Episodes
-from guider.errors import GuiderError
+from guider.data.episodes import Episodes
+from guider.support.errors import GuiderError
 
 Boundary = Literal["clip", "drop"]
 MoveWithin = Literal["period", "episode"]

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from guider.errors import GuiderError
-from guider.files import is_dead
+from guider.support.errors import GuiderError
+from guider.support.files import is_dead
 
 POLL_SECONDS = 0.2
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from guider.networks import Precision, Products
+from guider.learning.networks import Precision, Products
 
 _CPU = Path("/proc/cpuinfo")
 _FIRST_GPU_WITH_BFLOAT16 = (8, 0)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from guider.goals import part_distances
+from guider.data.goals import part_distances
 from guider.methods import METHODS
-from guider.policy import Policy, compiled_act, initial_state
+from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.tasks.types import Task
 
 

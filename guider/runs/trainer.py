@@ -1,31 +1,17 @@
-"""Training runs on disk: start, record, resume, load.
-
-A run is a directory:
-    run.json            everything that determines the run (RunSpec), and what it was made with
-    metrics.jsonl       a line per chunk of updates: stage, update, seconds, means per seed
-    evaluations.jsonl   a line per evaluation during training
-    evaluation.json     what `guider evaluate` found last
-    checkpoints/        the whole training state, newest two
-    plots/              what `guider plot` drew
-    .lock               who trains it, while somebody does (see guider.locks)
-Symbolic links in it are refused: a run from elsewhere must not make us read or write outside it.
-"""
+"""Training into a run directory: from the beginning or from its newest checkpoint, and safe to stop at any moment."""
 
 from __future__ import annotations
 
 import json
 import os
-import platform
 import re
-import shlex
 import shutil
 import signal
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from importlib import metadata
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,143 +19,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from guider import checkpoint, stage_cache
-from guider.config import from_dict, to_dict
-from guider.episodes import Episodes, Spaces
-from guider.errors import GuiderError, GuiderWarning, Stopped
-from guider.files import (
+from guider.data.episodes import Episodes
+from guider.learning.processor import describe, settled
+from guider.learning.training import Chunk, Position, init_seeds, train
+from guider.methods.view import prepare
+from guider.runs import checkpoint, stage_cache
+from guider.runs.run import (
+    FORMAT,
+    LONGEST_PATH,
+    Pace,
+    Run,
+    RunSpec,
+    how_to_resume,
+    initialiser,
+    refuse_links,
+    total_updates,
+    versions,
+)
+from guider.support.config import to_dict
+from guider.support.errors import GuiderError, GuiderWarning, Stopped
+from guider.support.files import (
     append_line,
-    checked,
     clear_leftovers,
-    parse_json,
     read_lines,
     shortened,
     temporary,
-    walk,
     write_json,
     write_text,
 )
-from guider.locks import hold
-from guider.methods import METHODS
-from guider.methods.view import Scale, prepare, unit_scale
-from guider.policy import Policy
-from guider.processor import describe, settled
-from guider.stopping import on_signals
-from guider.training import Chunk, Position, init_seeds, seed_keys, train
-
-FORMAT = 6
-LONGEST_PATH = 3800
-"""Bytes of a run's directory; what lies in it has longer names, up to the system's 4096."""
-
-
-@dataclass(frozen=True)
-class RunSpec:
-    """What determines a run, to the bit, on one machine.
-
-    task: benchmark task, None for one's own data; data: where the episodes came from; format: how they were read, None
-    if told by content; episode_ends: signs of where they end that were asked for, () if decided; fingerprint: of the
-    episodes trained on; held_out: fraction of episodes kept for `guider evaluate`; config: the method's settings;
-    spaces: dimensions and bounds.
-    """
-
-    task: str | None
-    data: str
-    format: str | None
-    episode_ends: tuple[str, ...]
-    fingerprint: str
-    held_out: float
-    method: str
-    preset: str
-    seeds: tuple[int, ...]
-    config: Any
-    spaces: Spaces
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How often training reports and saves; the result does not depend on it.
-
-    chunk_updates: updates between reports; checkpoint_seconds: least time between checkpoints.
-    """
-
-    chunk_updates: int = 500
-    checkpoint_seconds: float = 60.0
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run directory and its spec."""
-
-    directory: Path
-    spec: RunSpec
-
-    @property
-    def stages(self):
-        return METHODS[self.spec.method].stages(self.spec.config)
-
-    def restore(self) -> tuple[Position, Any] | None:
-        """The newest checkpoint, (position, state of all seeds), or None where there is none yet."""
-
-        def fits(step: int, position: Position) -> bool:
-            stages = self.stages
-            return (
-                0 <= position.stage < len(stages)
-                and 0 < position.update <= stages[position.stage].updates
-                and step == total_updates(stages, position)
-            )
-
-        return checkpoint.restore(self.directory / "checkpoints", _state_template(self.spec), fits)
-
-    def policies(self) -> list[Policy]:
-        """The trained policy of every seed. Raises GuiderError while training is unfinished."""
-        restored = self.restore()
-        if restored is None:
-            raise GuiderError(f"{self.directory} holds no checkpoint yet; {_finish(self.directory)}")
-        position, state = restored
-        last = self.stages[-1]
-        if position != Position(len(self.stages) - 1, last.updates):
-            raise GuiderError(f"{self.directory} stopped {self.progress(position)}; {_finish(self.directory)}")
-        return policies(self.spec, state)
-
-    def progress(self, position: Position) -> str:
-        """How far a run at `position` is, in words."""
-        stage = self.stages[position.stage]
-        return f"after {position.update} of {stage.updates} updates of the {stage.name} stage"
-
-
-def _finish(directory: Path) -> str:
-    return f"finish it with {_resume(directory)}"
-
-
-def _resume(directory: Path) -> str:
-    return f"`guider train --resume {shlex.quote(str(directory))}`"
-
-
-def policies(spec: RunSpec, state: Any) -> list[Policy]:
-    """One policy per seed from a state whose leaves are [seeds, ...]."""
-    shown_low, shown_high = _shown(spec.spaces)
-    return [
-        Policy(
-            state=jax.tree.map(lambda leaf, i=index: jnp.asarray(leaf[i]), state),
-            action_low=jnp.asarray(spec.spaces.action_low, jnp.float32),
-            action_high=jnp.asarray(spec.spaces.action_high, jnp.float32),
-            method=spec.method,
-            config=spec.config,
-            goal_indices=spec.spaces.goal_indices,
-            state_dim=spec.spaces.state_dim,
-            state_low=shown_low,
-            state_high=shown_high,
-        )
-        for index in range(len(spec.seeds))
-    ]
-
-
-def _shown(spaces: Spaces) -> tuple[jax.Array | None, jax.Array | None]:
-    """Limits of what a policy is shown of a state: the data's range and half of it more on either side."""
-    if not spaces.state_low:
-        return None, None
-    low, high = jnp.asarray(spaces.state_low, jnp.float32), jnp.asarray(spaces.state_high, jnp.float32)
-    return low - (high - low) / 2, high + (high - low) / 2
+from guider.support.locks import hold
+from guider.support.stopping import on_signals
 
 
 def start(
@@ -181,7 +60,7 @@ def start(
     pace: Pace,
     cache: Path | None = None,
 ) -> Run:
-    """Train a new run from the beginning, but for stages that `cache` knows (see guider.stage_cache).
+    """Train a new run from the beginning, but for stages that `cache` knows (see guider.runs.stage_cache).
 
     facts: what was found about the data, for people to read in run.json. The run's spec has the precision that `auto`
     means on this machine, and keeps it. Raises GuiderError if `directory` is taken, Stopped as `resume` does.
@@ -236,7 +115,7 @@ def check_free(directory: Path) -> None:
         return
     except (OSError, ValueError) as error:
         raise GuiderError(f"{str(directory)[:40]}: no run can be there ({error}); choose another --out") from error
-    more = f", or continue it with {_resume(directory)}" if (directory / "run.json").exists() else ""
+    more = f", or continue it with {how_to_resume(directory)}" if (directory / "run.json").exists() else ""
     raise GuiderError(f"{directory} exists already and is never overwritten; choose another --out{more}")
 
 
@@ -246,7 +125,7 @@ def _only_trainer(run: Run) -> Iterator[None]:
     directory = run.directory
     with _writing(directory, "make it writable"), ExitStack() as held:
         held.enter_context(hold(directory / ".lock", f"{directory} is being trained"))
-        _refuse_links(directory)
+        refuse_links(directory)
         clear_leftovers(directory, r"(?:metrics|evaluations)\.jsonl|evaluation\.json")
         held = held.pop_all()
     with held:
@@ -282,13 +161,13 @@ def _train(
     data, scale = prepared
     if restored is None:
         reached = Position(0, 0)
-        state = init_seeds(_initialiser(spec, scale), spec.seeds)
+        state = init_seeds(initialiser(spec, scale), spec.seeds)
     else:
         reached, state = restored
         state = jax.tree.map(jnp.asarray, state)
     stages = run.stages
     metrics = run.directory / "metrics.jsonl"
-    kept = f"what was saved last stays; once it can be written, go on with {_resume(run.directory)}"
+    kept = f"what was saved last stays; once it can be written, go on with {how_to_resume(run.directory)}"
     with _writing(run.directory, kept):
         for path in (metrics, run.directory / "evaluations.jsonl"):
             _drop_later_lines(path, total_updates(stages, reached))
@@ -304,11 +183,11 @@ def _train(
     def ask(number: int) -> None:
         """The same signal twice does not wait; a terminal's Ctrl-C and then the SIGTERM of a runner are one wish."""
         if number in asked:
-            raise Stopped(f"interrupted, not saved since; go on with {_resume(run.directory)}", number)
+            raise Stopped(f"interrupted, not saved since; go on with {how_to_resume(run.directory)}", number)
         asked.append(number)
 
     def stopped() -> Stopped:
-        return Stopped(f"interrupted {run.progress(reached)}; go on with {_resume(run.directory)}", asked[0])
+        return Stopped(f"interrupted {run.progress(reached)}; go on with {how_to_resume(run.directory)}", asked[0])
 
     def save(state: Any) -> None:
         nonlocal saved, saved_at
@@ -405,65 +284,8 @@ def _check_finite(run: Run, chunk: Chunk) -> None:
             )
 
 
-def open_run(directory: str | Path) -> Run:
-    """The run in `directory`. Raises GuiderError if it is not one, or was written by another version."""
-    directory = Path(directory)
-    path = directory / "run.json"
-    try:
-        values = parse_json(path)
-        _refuse_links(directory)
-    except (FileNotFoundError, NotADirectoryError):
-        raise GuiderError(f"{directory} is not a run: it has no run.json") from None
-    except OSError as error:
-        raise GuiderError(f"{path} cannot be read: {error.strerror}") from error
-    if values.get("run_format") != FORMAT:
-        raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
-    values = checked(path, values, "put the original back, or train the run anew")
-    for name in ("run_format", "made_with", "trained_on", "facts"):
-        values.pop(name, None)
-    method = values.get("method")
-    if not isinstance(method, str) or method not in METHODS:
-        raise GuiderError(f"{path} names the method {method!r}; there are {', '.join(METHODS)}")
-    config = from_dict(METHODS[method].config_type, values.pop("config", {}), f"{path}: config")
-    spec = from_dict(RunSpec, {**values, "config": config}, str(path))
-    return Run(directory, spec)
-
-
-def total_updates(stages: Sequence[Any], position: Position) -> int:
-    """Updates done over all stages at `position`."""
-    return sum(stage.updates for stage in stages[: position.stage]) + position.update
-
-
-def _refuse_links(directory: Path) -> None:
-    """Raise GuiderError where anything in a run is a symbolic link, or neither file nor folder."""
-    for _ in walk(directory):
-        pass
-
-
-def versions() -> dict[str, str]:
-    """The software a result depends on."""
-    packages = ("guider-rl", "jax", "optax", "numpy", "mujoco", "gymnasium")
-    found = {"python": platform.python_version(), "device": jax.default_backend()}
-    for package in packages:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return found
-
-
 def _drop_later_lines(path: Path, total: int) -> None:
     """Forget lines written after the checkpoint that training continues from."""
     if path.exists():
         kept = [line for line in read_lines(path) if line["total_updates"] <= total]
         write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
-
-
-def _initialiser(spec: RunSpec, scale: Scale) -> Callable[[jax.Array], Any]:
-    """key -> one seed's fresh state."""
-    return lambda key: METHODS[spec.method].init(spec.config, spec.spaces, scale, key)
-
-
-def _state_template(spec: RunSpec) -> Any:
-    init = _initialiser(spec, unit_scale(spec.config.view, spec.spaces))
-    return jax.eval_shape(jax.vmap(init), seed_keys(spec.seeds))

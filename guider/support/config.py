@@ -10,13 +10,13 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from guider.errors import GuiderError, names_like
+from guider.support.errors import GuiderError, names_like
 
 C = TypeVar("C")
 Changes = dict[str, Any]
 """Settings by dotted name."""
 ByDomain = dict[str | None, Changes]
-"""The same by domain of tasks (guider.problem)."""
+"""The same by domain of tasks (guider.learning.problem)."""
 
 
 def to_dict(config: Any) -> dict[str, Any]:
