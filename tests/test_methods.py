@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import make_ragged, tiny
-from test_runs import assert_bit_equal
+from test_training import equal
 
 import guider
 from guider import api, runs
@@ -89,7 +89,7 @@ class Crossing(NamedTuple):
 NEAR = Crossing(6, 25, {"view.minimum_move": PROBLEM.reach_radius})  # not where it is pushed against an end
 """Of methods without subgoals or skills; the others' is longer than most recorded episodes go."""
 _GUIDER = Crossing(
-    15, 40, {"latent.updates": 1500, "latent.latent_dim": 1, "high.updates": 3000, "high.target_rate": 0.02}
+    15, 40, {"latent.updates": 1000, "latent.latent_dim": 1, "high.updates": 2000, "high.target_rate": 0.02}
 )
 _HIQL = Crossing(15, 40, {"subgoal_steps": 5, "value.updates": 3000}, nearer_is_better)
 _OPAL = Crossing(
@@ -97,11 +97,11 @@ _OPAL = Crossing(
     60,
     {
         "skill_steps": 5,
-        "skills.updates": 1500,
+        "skills.updates": 1000,
         "skills.batch_size": 20,
         "skills.latent_dim": 1,
         "skills.encoder_hidden": 16,
-        "high.updates": 2000,
+        "high.updates": 1500,
         "high.target_rate": 0.02,
         "high.target_divergence": 1.0,  # a mean over latent dimensions, and here is one
     },
@@ -113,9 +113,12 @@ CROSSINGS = {name: _GUIDER for name in METHODS if name.startswith("guider")} | {
 }
 
 
-def assert_whole(run: Run, resumed: Run, logs: Episodes) -> None:
-    """Both are equal to the bit; two seeds differ; the second acts, shows subgoals if it has any, and is scored."""
-    assert_bit_equal(run, resumed)
+class StageDoneError(Exception):
+    """What comes after is not asked for."""
+
+
+def assert_usable(run: Run, logs: Episodes) -> None:
+    """Two seeds differ; the second acts, shows subgoals if it has any, and is scored."""
     first, second = run.policies()
     leaves = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
     assert not all(np.array_equal(a, b) for a, b in leaves), "seeds differ"
@@ -145,10 +148,19 @@ def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(meth
     small |= {name: str(value) for name, value in crossing.settings.items()}
     logs = corridor()
 
-    def copy_once(chunk, state):
-        """In the first stage that is trained, and not taken over from another method."""
-        if chunk.position.update == 500 and not (tmp_path / "cut").exists():
+    seen: list[Any] = []
+
+    def watch(chunk, state):
+        """Copy the run in the middle of the first stage that is trained, and keep what comes of that stage."""
+        if chunk.position.update == 500 and not seen:
             shutil.copytree(tmp_path / "run", tmp_path / "cut")
+        if chunk.position.update == chunk.stage.updates and not seen:
+            seen.append(jax.device_get(state))
+
+    def compare(chunk, state):
+        if chunk.position.update == chunk.stage.updates:
+            assert equal(jax.device_get(state), seen[0])
+            raise StageDoneError
 
     run = guider.train(
         data=logs,
@@ -161,12 +173,14 @@ def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(meth
         out=tmp_path / "run",
         stage_cache=stages,
         pace=runs.Pace(chunk_updates=500, checkpoint_seconds=0.0),
-        on_chunk=copy_once,
+        on_chunk=watch,
     )
     policy = run.policies()[0]
     assert crosses_corridor(policy, crossing.distance, crossing.steps)
     crossing.also(policy)
-    assert_whole(run, guider.resume(tmp_path / "cut", logs), logs)
+    with pytest.raises(StageDoneError):
+        guider.resume(tmp_path / "cut", logs, on_chunk=compare)
+    assert_usable(run, logs)
 
 
 @pytest.mark.parametrize("preset", get_args(Preset))
