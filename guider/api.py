@@ -22,7 +22,7 @@ from guider.learning import processor
 from guider.learning.problem import Problem
 from guider.learning.samplers import no_window
 from guider.learning.training import Chunk
-from guider.methods import METHODS, preset_config
+from guider.methods import find_method, preset_config
 from guider.methods.policy import Agent, Policy
 from guider.methods.presets import Preset
 from guider.methods.view import check_radius, data_use, learned_windows
@@ -285,7 +285,7 @@ def score(
         "preset": spec.preset,
         "departures": _departures(spec),
         "precision": spec.config.precision,
-        "acts_by": METHODS[spec.method].acts_by(spec.config),
+        "acts_by": find_method(spec.method).acts_by(spec.config),
         "period_steps": spec.config.problem.period_steps,
         "reach_radius": spec.config.problem.reach_radius,
         "data": spec.data,
@@ -404,7 +404,7 @@ def _in_maze(
     """Of each seed: how every episode ended, and, of a method with subgoals, the share of those it chose that lie in
     walls and off the run's data (None where that is not where it was, and nobody says where it is)."""
     endings: list[Sequence[Ending]] = [[ending(t, task, maze) for t in outcome.traces] for outcome in outcomes]
-    if METHODS[run.spec.method].pursued is None:
+    if find_method(run.spec.method).pursued is None:
         return [(of_seed, {}) for of_seed in endings]
     try:
         logged = _same_data(run, data).achieved

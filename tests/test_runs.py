@@ -225,7 +225,7 @@ def test_a_checkpoint_of_another_config_is_refused(copy):
     ("change", "message"),
     [
         (lambda v: v | {"run_format": 99}, "another version"),
-        (lambda v: v | {"method": "magic"}, "names the method 'magic'"),
+        (lambda v: v | {"method": "magic"}, "there is no method 'magic'"),
         (lambda v: v | {"config": v["config"] | {"perod": 3}}, "config has no setting 'perod'; did you mean"),
         (lambda v: v | {"config": v["config"] | {"precision": "half"}}, "must be one of auto, float32"),
         (lambda v: {k: x for k, x in v.items() if k != "seeds"}, "lacks the setting 'seeds'"),

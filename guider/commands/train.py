@@ -47,7 +47,8 @@ def train(
         task: A benchmark from `guider tasks`; leave it out for your own data.
         data: HDF5 (D4RL), npz (OGBench or your own), a Minari directory or minari:ID. See `guider data inspect`.
         method: What to train: guider (if nothing is said); guider-gcsl, guider-wgcsl or guider-cql (with another low
-            level); hiql, opal; or, without subgoals, bc, gcsl, wgcsl, cql-her, iql.
+            level); hiql, hiql-places, opal; or, without subgoals, bc, gcsl, wgcsl, cql-her, iql. Or one of your own,
+            from a file that the environment variable GUIDER_METHODS names.
         preset: `fast` (if nothing is said) fits two cores; `paper` is the paper's equations and the authors' settings.
         seeds: How many agents to train at once, in one compiled program; by default 1.
         first_seed: Their seeds count up from here, by default 0, so that several machines can share a set of seeds.

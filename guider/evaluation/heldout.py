@@ -11,7 +11,7 @@ import numpy as np
 from guider.data.episodes import Episodes
 from guider.learners import learner
 from guider.learning.networks import twin_values
-from guider.methods import METHODS
+from guider.methods import find_method
 from guider.methods.guider import GuiderConfig, high_inputs, low_inputs, propose_subgoal
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.policy import Policy, initial_state
@@ -77,7 +77,7 @@ class _Seen(NamedTuple):
 def _actions(policy: Policy, seen: _Seen) -> np.ndarray:
     """[W, A] in [-1, 1], towards the state c steps on."""
     count = len(seen.achieved)
-    act = METHODS[policy.method].act
+    act = find_method(policy.method).act
     begins, acting = jnp.ones(count, bool), initial_state(policy, count)
     answers, _ = act(policy.config, policy.state, policy.goal_indices, seen.observation, seen.outcome, acting, begins)
     return np.asarray(answers)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.goals import part_distances
-from guider.methods import METHODS
+from guider.methods import find_method
 from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.tasks.types import Task
 
@@ -120,7 +120,7 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
 
 def _pursued(policy, acting, goal, begins):
     """(subgoals, whether each is new), both [count, ...]; without subgoals, the goal from the first step on."""
-    pursued = METHODS[policy.method].pursued
+    pursued = find_method(policy.method).pursued
     return pursued(policy.config, acting) if pursued else (goal, begins)
 
 

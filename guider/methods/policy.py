@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from guider.methods import METHODS
+from guider.methods import find_method
 from guider.support.errors import GuiderError, GuiderWarning
 
 PyTree = Any
@@ -53,7 +53,7 @@ class Policy:
 
 def initial_state(policy: Policy, batch_size: int) -> PyTree:
     """Acting state for `batch_size` environments; `reset_mask` must be True on their first step."""
-    return METHODS[policy.method].initial_acting_state(policy.config, policy.goal_dim, batch_size)
+    return find_method(policy.method).initial_acting_state(policy.config, policy.goal_dim, batch_size)
 
 
 def act(
@@ -71,7 +71,7 @@ def act(
         observation = jnp.clip(observation, policy.state_low, policy.state_high)
         entries = jnp.asarray(policy.goal_indices)
         goal = jnp.clip(goal, policy.state_low[entries], policy.state_high[entries])
-    actions, state = METHODS[policy.method].act(
+    actions, state = find_method(policy.method).act(
         policy.config, policy.state, policy.goal_indices, observation, goal, state, reset_mask
     )
     centre = (policy.action_high + policy.action_low) / 2
@@ -141,7 +141,7 @@ class Agent:
     @property
     def subgoal(self) -> np.ndarray:
         """[G] the subgoal now pursued, in goal units. Raises GuiderError if the method has none."""
-        pursued = METHODS[self.policy.method].pursued
+        pursued = find_method(self.policy.method).pursued
         if pursued is None:
             raise GuiderError(f"{self.policy.method} has no subgoals in goal space")
         return np.asarray(pursued(self.policy.config, self._state)[0][0])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from guider.learning.problem import Problem
-from guider.methods import METHODS, preset_config
+from guider.methods import find_method, preset_config
 from guider.methods.presets import Preset
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
@@ -53,10 +53,8 @@ class Target:
 
 
 def of_method(method: str) -> Variant:
-    """A method as it is."""
-    if method not in METHODS:
-        raise GuiderError(f"there is no method {method!r}; {names_like(method, METHODS)}")
-    return Variant(method, METHODS[method].label, method)
+    """A method as it is. Raises GuiderError for one that is none."""
+    return Variant(method, find_method(method).label, method)
 
 
 GUIDER = of_method("guider")

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
 from guider.learning.training import Position, seed_keys
-from guider.methods import METHODS
+from guider.methods import find_method
 from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
@@ -86,7 +86,7 @@ class Run:
 
     @property
     def stages(self):
-        return METHODS[self.spec.method].stages(self.spec.config)
+        return find_method(self.spec.method).stages(self.spec.config)
 
     def restore(self) -> tuple[Position, Any] | None:
         """The newest checkpoint, (position, state of all seeds), or None where there is none yet."""
@@ -169,10 +169,11 @@ def open_run(directory: str | Path) -> Run:
     values = checked(path, values, "put the original back, or train the run anew")
     for name in ("run_format", "made_with", "trained_on", "facts"):
         values.pop(name, None)
-    method = values.get("method")
-    if not isinstance(method, str) or method not in METHODS:
-        raise GuiderError(f"{path} names the method {method!r}; there are {', '.join(METHODS)}")
-    config = from_dict(METHODS[method].config_type, values.pop("config", {}), f"{path}: config")
+    try:
+        method = find_method(str(values.get("method")))
+    except GuiderError as error:
+        raise GuiderError(f"{path}: {error}") from None
+    config = from_dict(method.config_type, values.pop("config", {}), f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
     return Run(directory, spec)
 
@@ -202,7 +203,7 @@ def versions() -> dict[str, str]:
 
 def initialiser(spec: RunSpec, scale: Scale) -> Callable[[jax.Array], Any]:
     """key -> one seed's fresh state."""
-    return lambda key: METHODS[spec.method].init(spec.config, spec.spaces, scale, key)
+    return lambda key: find_method(spec.method).init(spec.config, spec.spaces, scale, key)
 
 
 def _state_template(spec: RunSpec) -> Any:
