@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 
 Fault = Literal["lost", "silent", "traces", "hangs"]
 FAULTS: dict[Fault, str] = {

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from guider.api import evaluate, inspect, load, resume, train
     from guider.data import load as load_data
     from guider.data.episodes import Episodes, make_episodes
+    from guider.errors import GuiderError, GuiderWarning
     from guider.methods.policy import Agent, Policy, act, initial_state
-    from guider.support.errors import GuiderError, GuiderWarning
 
 __all__ = [
     "Agent",
@@ -33,7 +33,7 @@ __all__ = [
 _HOMES = {
     **dict.fromkeys(("evaluate", "inspect", "load", "resume", "train"), "api"),
     **dict.fromkeys(("Episodes", "make_episodes"), "data.episodes"),
-    **dict.fromkeys(("GuiderError", "GuiderWarning"), "support.errors"),
+    **dict.fromkeys(("GuiderError", "GuiderWarning"), "errors"),
     **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "methods.policy"),
 }
 

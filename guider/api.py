@@ -15,6 +15,7 @@ import numpy as np
 from guider import data as data_sources
 from guider import runs
 from guider.data.episodes import IN_MEMORY, Episodes
+from guider.errors import GuiderError, GuiderWarning
 from guider.evaluation.heldout import held_out_scores
 from guider.evaluation.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
 from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval
@@ -29,7 +30,6 @@ from guider.methods.view import check_radius, data_use, learned_windows
 from guider.runs import Pace, Run, RunSpec
 from guider.support import files
 from guider.support.config import differences, override
-from guider.support.errors import GuiderError, GuiderWarning
 from guider.support.files import user_path
 from guider.tasks import Task, find_task
 from guider.tasks.mazes import Maze

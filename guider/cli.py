@@ -19,7 +19,7 @@ from typing import Any
 import tyro
 
 from guider.commands import COMMANDS
-from guider.support.errors import GuiderError, GuiderWarning, Stopped
+from guider.errors import GuiderError, GuiderWarning, Stopped
 
 
 def main(arguments: list[str] | None = None) -> int:

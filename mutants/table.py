@@ -172,7 +172,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("data.actions[inside], rows < last)", "data.actions[inside], rows <= last)", _WINDOWS),
         ("inside = jnp.minimum(rows, last)", "inside = rows", _WINDOWS),
     ],
-    "guider/data/goals.py": [
+    "guider/goals.py": [
         ("keepdims=True) ** 0.5", "keepdims=True)", "test_goals.py"),
         ("squares[..., list(part)].sum", "squares[..., list(part)].max", "test_goals.py"),
         ("parts).max(axis=-1)", "parts).min(axis=-1)", "test_goals.py"),

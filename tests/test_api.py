@@ -13,8 +13,8 @@ import guider
 from guider import api, runs
 from guider.cli import main
 from guider.data.episodes import make_episodes
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.processor import settled
-from guider.support.errors import GuiderError, GuiderWarning
 
 LENGTHS = [60] * 10
 

@@ -17,9 +17,9 @@ import numpy as np
 import orbax.checkpoint as ocp
 import pytest
 
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.training import Position
 from guider.runs import checkpoint
-from guider.support.errors import GuiderError, GuiderWarning
 from guider.support.files import parse_json, walk, write_json
 
 
@@ -80,7 +80,7 @@ def test_the_two_newest_are_kept_and_what_training_went_back_behind_is_not(saved
     assert sorted(os.listdir(saved)) == ["10", "11"]
 
 
-@pytest.mark.filterwarnings("ignore::guider.support.errors.GuiderWarning")
+@pytest.mark.filterwarnings("ignore::guider.errors.GuiderWarning")
 @pytest.mark.parametrize("seed", range(40))
 def test_a_flipped_bit_is_never_taken(saved, seed):
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
 
 from guider.data import load
 from guider.data.kitchen import kitchen_states
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 
 
 @pytest.mark.parametrize("rows", [1000, 1001])

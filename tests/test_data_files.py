@@ -14,7 +14,7 @@ from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
 
 from guider.data import describe, load
 from guider.data.episodes import make_episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 
 def test_ogbench_terminals_mark_last_rows_and_their_action_is_not_valid(tmp_path):

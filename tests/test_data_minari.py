@@ -11,7 +11,7 @@ from recordings import GOAL, walk
 
 from guider.data import load
 from guider.data.episodes import Episodes, make_episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 
 @pytest.fixture

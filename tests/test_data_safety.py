@@ -24,7 +24,7 @@ from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
 from guider.data import hdf5_worker, load, safety
 from guider.data.store import Recording, open_store
 from guider.data.write import write_minari
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 LENGTHS = [20, 30]
 ARRAYS = walk(LENGTHS) | {"lengths": np.array(LENGTHS)}

@@ -27,7 +27,7 @@ from guider.data.catalogue import CATALOGUE, Dataset, RemoteFile, find_dataset
 from guider.data.download import Patience, fetch
 from guider.data.store import Recording
 from guider.data.write import write_minari
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 KEYS = ("observations", "actions", "terminals", "timeouts")
 PATIENCE = Patience(timeout_s=5.0, attempts=3, backoff_s=0.001)

@@ -10,7 +10,7 @@ from recordings import GOAL, ends, walk, write_hdf5, write_npz
 
 from guider.data import load
 from guider.data.ends import find_jumps
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 
 LENGTHS = [20, 35, 27, 40]
 ENDS = ends(LENGTHS)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from guider.data.episodes import Episodes, make_episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 
 def arrays(lengths: list[int], seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from guider.collect.fetch_experts import (
     way_around,
 )
 from guider.data.episodes import make_episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.tasks.fetch import FETCH_TASKS, make_env
 from guider.tasks.gymnasium_tasks import make_gymnasium
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.goal_measure import environments_rule, first_disagreement, radius_of
 

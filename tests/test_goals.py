@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.data.goals import goal_entries, largest_distance, part_distances
+from guider.goals import goal_entries, largest_distance, part_distances
 
 ACHIEVED, GOAL = np.array([[3.0, 0.0, 4.0], [1.0, 2.0, 2.0]]), np.zeros((2, 3))
 

@@ -13,6 +13,7 @@ from test_training import train_guider
 
 from guider import runs
 from guider.data.episodes import make_episodes
+from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import twin_values
 from guider.learning.problem import Problem
@@ -25,7 +26,6 @@ from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.policy import Policy, act, initial_state
 from guider.methods.view import Scale, ViewConfig, prepare
 from guider.support.config import differences, from_dict, override, to_dict
-from guider.support.errors import GuiderError
 
 
 def policy_of(config, episodes, seeds=(0,)) -> Policy:

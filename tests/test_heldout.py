@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from guider.data.episodes import Episodes, make_episodes
+from guider.errors import GuiderError
 from guider.evaluation import heldout
 from guider.evaluation.heldout import held_out_scores
 from guider.learning.networks import Gaussian
@@ -18,7 +19,6 @@ from guider.methods import METHODS
 from guider.methods.flat import FlatConfig
 from guider.methods.guider import GuiderConfig
 from guider.methods.view import ViewConfig
-from guider.support.errors import GuiderError
 
 
 def line(positions, lengths, actions=None) -> Episodes:

@@ -9,6 +9,7 @@ import pytest
 from conftest import make_ragged
 from test_samplers import counts, labelled
 
+from guider.errors import GuiderError
 from guider.learning.networks import layer_norm_mlp
 from guider.learning.problem import Problem
 from guider.learning.samplers import ValueBatch, WaypointBatch, device_data, sample_value, sample_waypoints
@@ -16,7 +17,6 @@ from guider.methods import hiql as method
 from guider.methods.hiql import HiqlConfig, hiql_config
 from guider.methods.view import Scale
 from guider.support.config import Changes, from_dict, override, to_dict
-from guider.support.errors import GuiderError
 
 SMALL: Changes = {"subgoal_steps": 5} | {
     f"{part}.{name}": value

@@ -19,8 +19,8 @@ from guider.collect.reaching import LIMIT_MARGIN_RAD, Hand, joint_step
 from guider.data import load
 from guider.data.kitchen import kitchen_states
 from guider.data.write import write_d4rl
+from guider.errors import GuiderError
 from guider.evaluation import rollouts as evaluation
-from guider.support.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.kitchen import GOAL_INDICES, KITCHEN_TASKS, MIXED, RADIUS, SUBTASKS, goal_vector, make_simulator
 

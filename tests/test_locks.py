@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from test_checkpoint import dead_pid
 
+from guider.errors import GuiderError
 from guider.support import locks
-from guider.support.errors import GuiderError
 from guider.support.locks import hold
 
 

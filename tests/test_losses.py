@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.data.goals import largest_distance
+from guider.goals import largest_distance
 from guider.learning import losses
 from guider.learning.networks import Gaussian, gaussian_head, hidden_product, mlp, mlp_init, twin_init, twin_values
 

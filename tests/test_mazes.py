@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.tasks import TASKS, find_task
 from guider.tasks.mazes import Maze, make_maze, read_maze
 

@@ -18,13 +18,13 @@ from test_training import equal
 import guider
 from guider import api, runs
 from guider.data.episodes import Episodes, make_episodes
+from guider.errors import GuiderError
 from guider.learning.problem import Problem
 from guider.methods import METHODS, hiql, preset_config
 from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.methods.presets import Preset
 from guider.runs import Run
 from guider.support.config import differences, from_dict, to_dict
-from guider.support.errors import GuiderError
 
 PROBLEM = Problem(radius=0.5, reach_radius=1.0, period_steps=5)
 

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from guider.data.catalogue import CATALOGUE, find_dataset
 from guider.data.episodes import Episodes, make_episodes
 from guider.data.write import write_d4rl
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.tasks import TASKS, Task, antmaze, find_task, pointmaze
 from guider.tasks.gymnasium_tasks import make_antmaze
 from guider.tasks.mazes import make_maze

@@ -9,6 +9,7 @@ import pytest
 from conftest import make_ragged
 from test_samplers import labelled
 
+from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import Gru, gru, gru_init
 from guider.learning.problem import Problem
@@ -18,7 +19,6 @@ from guider.methods.opal import OpalConfig, opal_config
 from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.methods.view import Scale
 from guider.support.config import Changes, from_dict, override, to_dict
-from guider.support.errors import GuiderError
 
 SMALL: Changes = {
     "skills.updates": 10,

@@ -13,8 +13,8 @@ from test_training import equal
 import guider
 from guider import methods, runs
 from guider.cli import main
+from guider.errors import GuiderError
 from guider.methods import find_method
-from guider.support.errors import GuiderError
 from guider.support.files import parse_json
 
 FILE = Path(__file__).parent.parent / "docs" / "own_method.py"

@@ -7,7 +7,7 @@ import pytest
 from guider.collect import waypoints
 from guider.collect.waypoints import Guide
 from guider.data.write import write_d4rl
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.mazes import Maze, make_maze
 from guider.tasks.pointmaze import BALL_RADIUS_M, drive, point_model, sample_start, sample_start_anywhere

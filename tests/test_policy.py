@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from guider.errors import GuiderError, GuiderWarning
 from guider.methods import METHODS
 from guider.methods.policy import Agent, Policy, act, initial_state
-from guider.support.errors import GuiderError, GuiderWarning
 
 
 @dataclass(frozen=True)

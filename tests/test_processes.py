@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from guider.collect.processes import map_in_processes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 WAIT = """
 import os, signal, sys, time

@@ -18,10 +18,10 @@ import pytest
 
 from guider import runs
 from guider.cli import main
+from guider.errors import GuiderError
 from guider.reproduce import figures, paper, report, runner
 from guider.reproduce.plans import Plan, PlannedRun, Protocol, make_plan
 from guider.support import files
-from guider.support.errors import GuiderError
 from guider.support.locks import hold
 from guider.tasks import find_task
 

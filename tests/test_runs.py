@@ -25,6 +25,7 @@ from test_checkpoint import dead_pid
 
 import guider
 from guider import runs
+from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.learning.problem import Problem
 from guider.learning.processor import settled
 from guider.learning.training import Position
@@ -34,7 +35,6 @@ from guider.methods.view import prepare
 from guider.runs import checkpoint, trainer
 from guider.runs.run import FORMAT
 from guider.support import files
-from guider.support.errors import GuiderError, GuiderWarning, Stopped
 from guider.support.files import read_json
 from guider.support.locks import hold
 

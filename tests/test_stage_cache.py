@@ -16,6 +16,7 @@ from test_runs import OWN, SETTINGS, assert_bit_equal, write_plain
 
 import guider
 from guider import runs
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.training import Position, init_seeds
 from guider.methods import METHODS
 from guider.methods.view import prepare
@@ -23,7 +24,6 @@ from guider.runs import stage_cache
 from guider.runs.stage_cache import stage_digest
 from guider.support import files, locks
 from guider.support.config import override
-from guider.support.errors import GuiderError, GuiderWarning
 
 STAGES = ["latent subgoals", "subgoal policy", "goal policy"]
 

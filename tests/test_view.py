@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from guider.data.episodes import make_episodes
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.problem import Problem
 from guider.methods.view import Scale, Use, ViewConfig, check_radius, data_use, prepare, wave_frequencies
-from guider.support.errors import GuiderError, GuiderWarning
 
 
 def line(positions, lengths, **more):

@@ -16,7 +16,7 @@ import pytest
 
 from guider.data import load
 from guider.data.episodes import Episodes, make_episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 EPISODES, STEPS = 3, 4
 GOAL = (3, 4, 5)

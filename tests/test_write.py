@@ -19,7 +19,7 @@ from guider.data import load, write
 from guider.data.episodes import Episodes, make_episodes
 from guider.data.store import Recording
 from guider.data.write import check_destination, write_d4rl, write_minari
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 LENGTHS = (7, 2, 1, 30, 12)
 

@@ -13,7 +13,7 @@ from guider.collect.fetch_experts import ACTION_DIM, Expert
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 EPISODE_STEPS = 50
 NOISE_SPREAD = 0.1

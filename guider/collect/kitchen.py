@@ -12,9 +12,9 @@ import numpy as np
 from guider.collect.kitchen_demos import EPISODE_STEPS, Chain, demonstrate
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
-from guider.data.goals import Parts, part_distances
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
+from guider.goals import Parts, part_distances
 
 DEMOS_AT_ONCE = 8
 """Demonstrations that a worker process makes before it reports: half a minute at most."""

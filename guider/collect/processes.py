@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 
 @contextmanager

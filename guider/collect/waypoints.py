@@ -11,7 +11,7 @@ import numpy as np
 
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 if TYPE_CHECKING:  # guider.tasks imports this module
     from guider.tasks.mazes import Maze

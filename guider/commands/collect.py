@@ -6,7 +6,7 @@ from pathlib import Path
 
 from guider.commands.options import Json, TaskName
 from guider.commands.screen import answer, bar
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.files import user_path
 
 

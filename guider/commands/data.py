@@ -9,7 +9,7 @@ import tyro
 
 from guider.commands.options import Json
 from guider.commands.screen import answer, bar
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 
 def data(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 Json = Annotated[bool, tyro.conf.arg(name="json", help="Print one JSON document instead of text.")]
 TaskName = tyro.conf.Positional[str]

@@ -10,8 +10,8 @@ import tyro
 
 from guider.commands.options import Json, assignments
 from guider.commands.screen import answer, stage_bars
+from guider.errors import GuiderError
 from guider.methods.presets import Preset
-from guider.support.errors import GuiderError
 from guider.support.files import user_path
 
 

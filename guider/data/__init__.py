@@ -18,7 +18,7 @@ from guider.data.minari import dataset_directory, read_minari
 from guider.data.safety import check_path
 from guider.data.store import Recording, Store, open_store
 from guider.data.wgcsl import is_pickle, read_wgcsl
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 from guider.support.files import user_path
 
 __all__ = ["FORMATS", "describe", "load"]

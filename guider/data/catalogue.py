@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from guider.support.errors import GuiderError, names_like
+from guider.errors import GuiderError, names_like
 
 MINARI_PREFIX = "minari:"
 

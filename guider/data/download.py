@@ -24,7 +24,7 @@ from urllib.request import Request, urlopen
 from guider.data.catalogue import MINARI_PREFIX, Dataset, RemoteFile
 from guider.data.safety import check_minari, size_text
 from guider.data.store import open_store
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.files import user_path
 from guider.support.locks import hold
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from guider.data.episodes import EndSign
 from guider.data.store import Store, describe_keys
-from guider.support.errors import GuiderError, names_like
+from guider.errors import GuiderError, names_like
 
 # The names that these go by in files people have.
 LENGTHS = "lengths"

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 
 IN_MEMORY = "arrays in memory"
 SMALLEST_SPREAD = 1e-3

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from guider.data.episodes import EndSign, check_goal_indices
-from guider.data.goals import goal_entries
 from guider.data.safety import MAIN_FILE, METADATA_FILE, check_minari
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
+from guider.goals import goal_entries
 from guider.support.files import user_path
 
 

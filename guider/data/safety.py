@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 MAIN_FILE, METADATA_FILE = "main_data.hdf5", "metadata.json"  # of a Minari dataset
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from guider.data.episodes import EndSign, to_float32
 from guider.data.safety import Declared, check_path, look_into_hdf5, look_into_npz, memory_fault, size_fault
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 _DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
 

@@ -23,7 +23,7 @@ from guider.data.episodes import EndSign
 from guider.data.minari import with_goal_space
 from guider.data.safety import memory_fault
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 # Names as NumPy 1 spells them; NumPy 2 says numpy._core.
 _ADMITTED = (

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Literal
 import h5py
 import numpy as np
 
-from guider.data.goals import Parts, largest_distance
 from guider.data.store import Recording
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
+from guider.goals import Parts, largest_distance
 from guider.support.files import clear_leftovers, shortened, temporary
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes
+from guider.errors import GuiderError
 from guider.learners import learner
 from guider.learning.networks import twin_values
 from guider.methods import find_method
@@ -17,7 +18,6 @@ from guider.methods.latent_subgoals import encode, prior
 from guider.methods.policy import Policy, initial_state
 from guider.methods.subgoal_policy import propose
 from guider.methods.view import learned_windows
-from guider.support.errors import GuiderError
 
 MAX_ROWS = 20_000
 INSIDE_95 = 1.959964

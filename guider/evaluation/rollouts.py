@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from guider.data.goals import part_distances
+from guider.goals import part_distances
 from guider.methods import find_method
 from guider.methods.policy import Policy, compiled_act, initial_state
 from guider.tasks.types import Task

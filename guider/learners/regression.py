@@ -8,11 +8,11 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
+from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import Layers, mlp
 from guider.learning.training import Metrics
 from guider.support.config import Changes, check_fraction
-from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

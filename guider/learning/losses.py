@@ -10,7 +10,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from guider.data.goals import Parts, part_distances
+from guider.goals import Parts, part_distances
 from guider.learning.networks import Gaussian
 
 

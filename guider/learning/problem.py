@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from guider.data.goals import Parts
+from guider.goals import Parts
 from guider.support.config import check_positive
 
 

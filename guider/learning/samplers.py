@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 Boundary = Literal["clip", "drop"]
 MoveWithin = Literal["period", "episode"]

@@ -14,11 +14,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, get_args
 
+from guider.errors import GuiderError, names_like
 from guider.learning.problem import Problem
 from guider.methods import flat, guider, hiql, opal
 from guider.methods.method import Method
 from guider.methods.presets import Preset
-from guider.support.errors import GuiderError, names_like
 
 METHODS: dict[str, Method] = guider.METHODS | flat.METHODS | hiql.METHODS | opal.METHODS
 """This package's, by name."""

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
+from guider.errors import GuiderError
 from guider.learners import (
     CqlConfig,
     GcslConfig,
@@ -30,7 +31,6 @@ from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_shares, override
-from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

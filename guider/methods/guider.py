@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
-from guider.data.goals import largest_distance
+from guider.goals import largest_distance
 from guider.learners import (
     AwrConfig,
     CqlConfig,

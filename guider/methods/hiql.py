@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
+from guider.errors import GuiderError
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
 from guider.learning import losses
 from guider.learning.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
@@ -30,7 +31,6 @@ from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
-from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

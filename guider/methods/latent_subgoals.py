@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init
 from guider.learning.optimisers import Moments, adam_init, adam_step
@@ -16,7 +17,6 @@ from guider.learning.samplers import Windows
 from guider.learning.training import Metrics
 from guider.methods.view import Scale
 from guider.support.config import check_fraction, check_networks, check_positive
-from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from guider.errors import GuiderError, GuiderWarning
 from guider.methods import find_method
-from guider.support.errors import GuiderError, GuiderWarning
 
 PyTree = Any
 

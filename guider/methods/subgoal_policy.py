@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import (
     Gaussian,
@@ -35,7 +36,6 @@ from guider.support.config import (
     check_positive,
     check_shares,
 )
-from guider.support.errors import GuiderError
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import SMALLEST_SPREAD, Episodes, Spaces
-from guider.data.goals import largest_distance
+from guider.errors import GuiderError, GuiderWarning
+from guider.goals import largest_distance
 from guider.learning.problem import Problem
 from guider.learning.samplers import Boundary, Data, MoveWithin, device_data, moves, window_starts
 from guider.support.config import check_not_negative, check_positive
-from guider.support.errors import GuiderError, GuiderWarning
 
 _FINEST_STEP = 0.1
 _LONG_STEP = 4.0  # radii

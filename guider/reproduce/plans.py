@@ -12,13 +12,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from guider.errors import GuiderError, names_like
 from guider.learning.problem import Problem
 from guider.methods import find_method, preset_config
 from guider.methods.presets import Preset
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
 from guider.support.config import flatten, to_dict
-from guider.support.errors import GuiderError, names_like
 from guider.tasks import find_task
 
 

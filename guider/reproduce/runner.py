@@ -26,9 +26,9 @@ import numpy as np
 
 from guider import data as data_sources
 from guider import runs
+from guider.errors import GuiderError, Stopped
 from guider.reproduce.plans import Plan, PlannedRun, file_name
 from guider.support import files
-from guider.support.errors import GuiderError, Stopped
 from guider.support.files import parse_line, read_json
 from guider.support.locks import hold
 from guider.support.stopping import on_signals

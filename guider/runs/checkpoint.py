@@ -28,8 +28,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.training import Position
-from guider.support.errors import GuiderError, GuiderWarning
 from guider.support.files import clear_leftovers, read_bytes, read_json, remove, temporary, walk, write_json
 
 PyTree = Any

@@ -25,13 +25,13 @@ import jax
 import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
+from guider.errors import GuiderError
 from guider.learning.training import Position, seed_keys
 from guider.methods import find_method
 from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
 from guider.support.config import from_dict
-from guider.support.errors import GuiderError
 from guider.support.files import (
     checked,
     parse_json,

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from guider.errors import GuiderError
 from guider.learning.training import Chunk
-from guider.support.errors import GuiderError
 
 
 def sink(name: str | None, directory: Path) -> Callable[[Chunk, Any], None]:

@@ -23,9 +23,9 @@ import jax
 import numpy as np
 from jax.extend.core import Var
 
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.training import Position, Stage
 from guider.runs import checkpoint
-from guider.support.errors import GuiderError, GuiderWarning
 from guider.support.files import clear_leftovers, is_line, read_json, remove, temporary, write_json
 from guider.support.locks import clear_free, hold
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes
+from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.learning.processor import describe, settled
 from guider.learning.training import Chunk, Position, init_seeds, train
 from guider.methods.view import prepare
@@ -37,7 +38,6 @@ from guider.runs.run import (
     versions,
 )
 from guider.support.config import to_dict
-from guider.support.errors import GuiderError, GuiderWarning, Stopped
 from guider.support.files import (
     append_line,
     clear_leftovers,

@@ -1,1 +1,1 @@
-"""What everything stands on: settings, errors, files, locks, and ending in order."""
+"""What everything stands on: settings, files, locks, and ending in order."""

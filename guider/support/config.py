@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from guider.support.errors import GuiderError, names_like
+from guider.errors import GuiderError, names_like
 
 C = TypeVar("C")
 Changes = dict[str, Any]

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from guider.support.errors import GuiderError, GuiderWarning
+from guider.errors import GuiderError, GuiderWarning
 
 CHECKSUM = "checksum"
 

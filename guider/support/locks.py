@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.files import is_dead
 
 POLL_SECONDS = 0.2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from guider.support.errors import GuiderError, names_like
+from guider.errors import GuiderError, names_like
 from guider.tasks import antmaze, pointmaze
 from guider.tasks.antmaze import ANTMAZES
 from guider.tasks.fetch import FETCH_TASKS

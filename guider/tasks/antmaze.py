@@ -20,7 +20,7 @@ import numpy as np
 
 from guider.collect.ant_walker import walk
 from guider.collect.waypoints import Recipe, record
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.files import user_path
 from guider.support.physics import mujoco
 from guider.tasks.mazes import Maze, make_maze, read_maze

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from guider.data.goals import largest_distance
+from guider.goals import largest_distance
 
 Met = Callable[[np.ndarray, np.ndarray], bool]
 """(achieved [G], desired [G]) -> whether the environment counts the goal as met."""

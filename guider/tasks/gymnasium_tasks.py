@@ -20,7 +20,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.physics import mujoco
 from guider.tasks.goal_measure import Met, environments_rule, first_disagreement, radius_of
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 
 Cell = tuple[int, int]
 

@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.physics import mujoco
 from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
 from guider.tasks.antmaze import ant_model

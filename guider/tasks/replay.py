@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from guider.data.episodes import Episodes
-from guider.support.errors import GuiderError
+from guider.errors import GuiderError
 from guider.support.physics import mujoco
 from guider.tasks.simulation import MujocoVectorEnv, Start
 

@@ -9,8 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from guider.data.episodes import Episodes
-from guider.data.goals import Parts
 from guider.data.store import Recording
+from guider.goals import Parts
 from guider.tasks.mazes import Maze
 
 Score = Literal["success", "return", "subtasks"]
@@ -75,7 +75,7 @@ class Task:
 
     domain:        tasks of one domain share settings in presets
     goal_indices:  state entries of the goal space
-    goal_parts:    entries of the goal that must each be within the radius, see guider.data.goals
+    goal_parts:    entries of the goal that must each be within the radius, see guider.goals
     radius:        goal is met within this distance (goal units)
     reach_radius:  a subgoal counts as reached within this distance (goal units)
     horizon_steps: environment steps an evaluation episode may take
