@@ -23,14 +23,14 @@ from torch import Tensor, nn
 
 from guider.learners import AwrConfig
 from guider.learning.networks import LOG_STD_RANGE
-from guider.learning.samplers import Data
+from guider.learning.windows import Data
 from guider.methods.guider import GoalPolicyConfig, GuiderConfig
 
 LAGRANGE_RANGE = (0.0, 1e6)
 
 
 class TorchData(NamedTuple):
-    """guider.learning.samplers.Data as tensors."""
+    """guider.learning.windows.Data as tensors."""
 
     observations: Tensor
     actions: Tensor

@@ -21,8 +21,8 @@ from guider.evaluation.outcomes import Ending, ending, proposed, share_in_walls,
 from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval
 from guider.learning import processor
 from guider.learning.problem import Problem
-from guider.learning.samplers import no_window
 from guider.learning.training import Chunk
+from guider.learning.windows import no_window
 from guider.methods import find_method, preset_config
 from guider.methods.policy import Agent, Policy
 from guider.methods.presets import Preset

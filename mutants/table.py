@@ -121,7 +121,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("if not decay", "if decay", "test_optimisers.py"),
         ("incremental_update(params, target, rate)", "incremental_update(target, params, rate)", "test_optimisers.py"),
     ],
-    "guider/learning/samplers.py": [
+    "guider/learning/windows.py": [
         ("later = np.minimum(rows + period_steps, last)", "later = np.minimum(rows + 1, last)", "test_samplers.py"),
         ('if boundary == "drop" else 1) <= last', 'if boundary == "drop" else 1) < last', "test_samplers.py"),
         ('if boundary == "drop" else 1)', 'if boundary == "drop" else 0)', "test_samplers.py"),
@@ -132,6 +132,14 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("(episodes.actions - centre) / half_range", "episodes.actions / half_range", "test_samplers.py"),
         ('period_steps, "clip", minimum_move', "period_steps, boundary, minimum_move", "test_samplers.py"),
         ("+ steps <= episodes.last_rows", "+ steps < episodes.last_rows", "test_samplers.py"),
+    ],
+    "guider/learning/samplers.py": [
+        ('"next_achieved": data.achieved[rows + 1]', '"next_achieved": data.achieved[rows]', "test_samplers.py"),
+        (
+            '"next_observation": data.observations[rows + 1]',
+            '"next_observation": data.observations[rows]',
+            "test_samplers.py",
+        ),
         ("(count,), 0, len(rows))", "(count,), 1, len(rows))", "test_samplers.py"),
         ("first.shape, first, last + 1)", "first.shape, first, last)", "test_samplers.py"),
         ("first - 1 + jax.random.geometric", "first + jax.random.geometric", "test_learners.py"),

@@ -12,7 +12,8 @@ from test_samplers import counts, labelled
 from guider.errors import GuiderError
 from guider.learning.networks import layer_norm_mlp
 from guider.learning.problem import Problem
-from guider.learning.samplers import ValueBatch, WaypointBatch, device_data, sample_value, sample_waypoints
+from guider.learning.samplers import ValueBatch, WaypointBatch, sample_value, sample_waypoints
+from guider.learning.windows import device_data
 from guider.methods import hiql as method
 from guider.methods.hiql import HiqlConfig, hiql_config
 from guider.methods.view import Scale

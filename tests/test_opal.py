@@ -13,7 +13,8 @@ from guider.errors import GuiderError
 from guider.learning import losses
 from guider.learning.networks import Gru, gru, gru_init
 from guider.learning.problem import Problem
-from guider.learning.samplers import SkillBatch, Trajectories, device_data, sample_skills, sample_trajectories
+from guider.learning.samplers import SkillBatch, Trajectories, sample_skills, sample_trajectories
+from guider.learning.windows import device_data
 from guider.methods import opal as method
 from guider.methods.opal import OpalConfig, opal_config
 from guider.methods.policy import Policy, compiled_act, initial_state

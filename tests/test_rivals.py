@@ -17,8 +17,9 @@ from conftest import make_ragged
 from test_updates import RATE, plain, shaken
 
 from guider.learning.problem import Problem
-from guider.learning.samplers import device_data, sample_trajectories, sample_value, sample_waypoints
+from guider.learning.samplers import sample_trajectories, sample_value, sample_waypoints
 from guider.learning.training import Stage
+from guider.learning.windows import device_data
 from guider.methods import hiql, opal
 from guider.methods.hiql import hiql_config
 from guider.methods.opal import opal_config

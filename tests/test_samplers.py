@@ -11,16 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from guider.data.episodes import make_episodes
-from guider.learning.samplers import (
-    Data,
-    device_data,
-    moves,
-    sample_flat,
-    sample_high,
-    sample_low,
-    sample_windows,
-    window_starts,
-)
+from guider.learning.samplers import sample_flat, sample_high, sample_low, sample_windows
+from guider.learning.windows import Data, device_data, moves, window_starts
 
 
 def labelled(lengths, recorded: bool = False):

@@ -25,8 +25,9 @@ from guider.learning import losses
 from guider.learning.networks import Precision
 from guider.learning.optimisers import cosine_rate
 from guider.learning.problem import Problem
-from guider.learning.samplers import Data, FlatBatch, Future, sample_flat
+from guider.learning.samplers import FlatBatch, Future, sample_flat
 from guider.learning.training import Stage
+from guider.learning.windows import Data
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, Preset, fast
 from guider.methods.view import Scale, ViewConfig

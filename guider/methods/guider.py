@@ -28,8 +28,9 @@ from guider.learning import losses
 from guider.learning.networks import Precision, twin_values
 from guider.learning.optimisers import cosine_rate
 from guider.learning.problem import Problem
-from guider.learning.samplers import Data, HighBatch, LowBatch, sample_high, sample_low, sample_windows
+from guider.learning.samplers import HighBatch, LowBatch, sample_high, sample_low, sample_windows
 from guider.learning.training import Stage
+from guider.learning.windows import Data
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.method import Method

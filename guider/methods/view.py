@@ -14,7 +14,7 @@ from guider.data.episodes import SMALLEST_SPREAD, Episodes, Spaces
 from guider.errors import GuiderError, GuiderWarning
 from guider.goals import largest_distance
 from guider.learning.problem import Problem
-from guider.learning.samplers import Boundary, Data, MoveWithin, device_data, moves, window_starts
+from guider.learning.windows import Boundary, Data, MoveWithin, device_data, moves, window_starts
 from guider.support.config import check_not_negative, check_positive
 
 _FINEST_STEP = 0.1
