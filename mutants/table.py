@@ -134,6 +134,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("+ steps <= episodes.last_rows", "+ steps < episodes.last_rows", "test_samplers.py"),
     ],
     "guider/learning/samplers.py": [
+        ('"action": data.actions[rows]', '"action": data.actions[rows + 1]', "test_samplers.py"),
         ('"next_achieved": data.achieved[rows + 1]', '"next_achieved": data.achieved[rows]', "test_samplers.py"),
         (
             '"next_observation": data.observations[rows + 1]',

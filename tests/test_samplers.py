@@ -16,12 +16,14 @@ from guider.learning.windows import Data, device_data, moves, window_starts
 
 
 def labelled(lengths, recorded: bool = False):
-    """Episodes whose goal space is (episode number, step): a sample tells which row it came from."""
+    """Episodes whose states and goal space are (episode number, step) and whose actions grow with the row: a sample
+    tells which row it came from."""
     episode = np.repeat(np.arange(len(lengths)), lengths)
     step = np.concatenate([np.arange(n) for n in lengths])
     observations = np.stack([episode, step], axis=1).astype(float)
     goals = np.full_like(observations, -7.0) if recorded else None
-    return make_episodes(observations, np.zeros((len(episode), 1)), lengths, (0, 1), goals=goals)
+    actions = np.linspace(-1, 1, len(episode))[:, None]
+    return make_episodes(observations, actions, lengths, (0, 1), goals=goals)
 
 
 def counts(values, size):
@@ -97,7 +99,10 @@ def test_no_sample_crosses_an_episode(lengths, period, boundary, seed):
     episode = np.asarray(low.achieved[:, 0], int)
     now, subgoal, goal = (np.asarray(x[:, 1]) for x in (low.achieved, low.subgoal, low.goal))
     assert np.array_equal(low.subgoal[:, 0], episode) and np.array_equal(low.goal[:, 0], episode)
-    assert np.array_equal(low.next_achieved[:, 1], now + 1)
+    assert np.array_equal(low.next_achieved, np.stack([episode, now + 1], axis=1))
+    assert np.array_equal(low.observation, low.achieved) and np.array_equal(low.next_observation, low.next_achieved)
+    rows = np.cumsum([0, *lengths])[episode] + now.astype(int)
+    assert np.array_equal(low.action, np.asarray(data.actions)[rows])
     assert np.all((now < subgoal) & (subgoal <= np.minimum(now + period, last[episode])))
     assert np.array_equal(low.subgoal_steps, subgoal - now)
     assert np.all((subgoal <= goal) & (goal <= last[episode]))
