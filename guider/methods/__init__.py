@@ -29,11 +29,13 @@ def find_method(name: str) -> Method:
 
     No name makes code run: your own are those that GUIDER_METHODS and installed packages offer.
     """
-    known = METHODS if name in METHODS else METHODS | _own_methods(os.environ.get("GUIDER_METHODS", ""))
-    if name not in known:
-        own = "one of your own is known once GUIDER_METHODS names its file"
-        raise GuiderError(f"there is no method {name!r}; {names_like(str(name), known)}; {own}")
-    return known[name]
+    if name in METHODS:
+        return METHODS[name]
+    own = _own_methods(os.environ.get("GUIDER_METHODS", ""))
+    if name in own:
+        return own[name]
+    hint = "one of your own is known once GUIDER_METHODS names its file"
+    raise GuiderError(f"there is no method {name!r}; {names_like(name, METHODS | own)}; {hint}")
 
 
 @cache

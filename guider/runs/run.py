@@ -32,11 +32,7 @@ from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
 from guider.support.config import from_dict
-from guider.support.files import (
-    checked,
-    parse_json,
-    walk,
-)
+from guider.support.files import checked, parse_json, walk
 
 FORMAT = 6
 LONGEST_PATH = 3800

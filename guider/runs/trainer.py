@@ -38,15 +38,7 @@ from guider.runs.run import (
     versions,
 )
 from guider.support.config import to_dict
-from guider.support.files import (
-    append_line,
-    clear_leftovers,
-    read_lines,
-    shortened,
-    temporary,
-    write_json,
-    write_text,
-)
+from guider.support.files import append_line, clear_leftovers, read_lines, shortened, temporary, write_json, write_text
 from guider.support.locks import hold
 from guider.support.stopping import on_signals
 
