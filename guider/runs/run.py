@@ -35,8 +35,6 @@ from guider.support.config import from_dict
 from guider.support.files import checked, parse_json, walk
 
 FORMAT = 6
-LONGEST_PATH = 3800
-"""Bytes of a run's directory; what lies in it has longer names, up to the system's 4096."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from guider.methods.view import prepare
 from guider.runs import checkpoint, stage_cache
 from guider.runs.run import (
     FORMAT,
-    LONGEST_PATH,
     Pace,
     Run,
     RunSpec,
@@ -41,6 +40,9 @@ from guider.support.config import to_dict
 from guider.support.files import append_line, clear_leftovers, read_lines, shortened, temporary, write_json, write_text
 from guider.support.locks import hold
 from guider.support.stopping import on_signals
+
+LONGEST_PATH = 3800
+"""Bytes of a run's directory; what lies in it has longer names, up to the system's 4096."""
 
 
 def start(
