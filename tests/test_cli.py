@@ -93,7 +93,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
         (["plot", "nowhere"], "is not a run"),
         (["data", "inspect", "nowhere.npz"], "nowhere.npz"),
         (["collect", "antmaze-large-play", "--out", "x.hdf5"], "cannot be collected here"),
-        (["collect", "nothing", "--out", "x.hdf5"], "no task is called 'nothing'"),
+        (["collect", "nothing", "--out", "x.hdf5"], "there is no task 'nothing'"),
         (["collect", "pointmaze-umaze", "--seed", "-1", "--out", "x.hdf5"], "--seed at least 0"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes must be 1 or more"),
         (["train", "pointmaze-umaze", "--data", "x", "--seeds", "0"], "--seeds must be 1 or more"),

@@ -11,10 +11,11 @@ from conftest import make_ragged
 from test_training import equal
 
 import guider
-from guider import methods, runs
+from guider import runs
 from guider.cli import main
 from guider.errors import GuiderError
 from guider.methods import find_method
+from guider.support import plugins
 from guider.support.files import parse_json
 
 FILE = Path(__file__).parent.parent / "docs" / "own_method.py"
@@ -73,9 +74,9 @@ def test_an_installed_package_offers_methods(tmp_path, monkeypatch):
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[guider.methods]\ntoy = toy_package\n")
     monkeypatch.syspath_prepend(tmp_path)
-    methods._own_methods.cache_clear()
+    plugins._offered.cache_clear()
     assert find_method("linear").label == "Linear"
-    methods._own_methods.cache_clear()
+    plugins._offered.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_a_plan_names_the_commands_it_takes(tmp_path):
         (["table2", "--methods", "guider"], "leave --methods out"),
         (["table2", "--set", "high.prior=true"], "table2 compares values of high.prior"),
         (["table2", "--set", "gcsl:updates=3"], "table2 has no runs of a method 'gcsl'"),
-        (["table2", "--tasks", "antmaze-larg"], "no task is called 'antmaze-larg'"),
+        (["table2", "--tasks", "antmaze-larg"], "there is no task 'antmaze-larg'"),
         (["figure7", "--tasks", "fetch-pick-mixed"], "fetch-pick-mixed has none"),
         (["table2", "--seeds", "0"], "must be 1 or more"),
         (["table2", "--jobs", "10000"], "--jobs must lie between 1 and"),

@@ -15,23 +15,25 @@ def tasks(task: tyro.conf.Positional[str | None] = None, as_json: Json = False) 
     """List the benchmark tasks, or say all about one: environment, goal, protocol, data.
 
     Three more forms make tasks of your own: gym:ENV_ID of any Gymnasium goal environment, pointmaze:FILE and
-    antmaze:FILE in a maze drawn in a text file (# wall, . free, S start, G goal).
+    antmaze:FILE in a maze drawn in a text file (# wall, . free, S start, G goal). A file of Python that the environment
+    variable GUIDER_TASKS names adds any other (docs/own_task.py).
 
     Args:
         task: The task to say all about.
         as_json: Print one JSON document instead of text.
     """
-    from guider.tasks import TASKS, find_task
+    from guider.tasks import find_task, known_tasks
 
     if task is not None:
         facts = _task_facts(find_task(task))
         answer(facts, "\n".join(f"{name.replace('_', ' '):>14}  {value}" for name, value in facts.items()), as_json)
         return
-    rows = [_task_facts(found) for found in TASKS.values()]
+    listed = known_tasks().values()
+    rows = [_task_facts(found) for found in listed]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for title in ("task", "score", "steps", "c", "radius", "paper", "collect"):
         table.add_column(title, no_wrap=True)
-    for row, found in zip(rows, TASKS.values(), strict=True):
+    for row, found in zip(rows, listed, strict=True):
         columns = (row[name] for name in ("horizon_steps", "period_steps", "radius", "paper_score"))
         made = "yes" if found.collector else "-"
         table.add_row(row["task"], found.score, *("-" if value is None else str(value) for value in columns), made)

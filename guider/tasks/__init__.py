@@ -1,10 +1,13 @@
-"""The benchmark tasks, by name."""
+"""Tasks: what is to be done, where, and how it is scored. A row or a file each.
+
+Yours may stand in a file of your own: see docs/own_task.py.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from guider.errors import GuiderError, names_like
+from guider.support import plugins
 from guider.tasks import antmaze, pointmaze
 from guider.tasks.antmaze import ANTMAZES
 from guider.tasks.fetch import FETCH_TASKS
@@ -17,6 +20,7 @@ from guider.tasks.types import Task
 TASKS: dict[str, Task] = {
     task.name: task for task in (*POINTMAZES, *ANTMAZES, *FETCH_TASKS, *KITCHEN_TASKS, *GYM_ANTMAZES, *OGBENCH_TASKS)
 }
+"""This package's, by name."""
 OPEN_FORMS: dict[str, Callable[[str], Task]] = {
     "pointmaze": pointmaze.custom_task,
     "antmaze": antmaze.custom_task,
@@ -25,19 +29,22 @@ OPEN_FORMS: dict[str, Callable[[str], Task]] = {
 
 
 def find_task(name: str) -> Task:
-    """The task called `name`: one of TASKS, or made to order.
+    """The task called `name`: one of TASKS or of your own, or made to order.
 
     pointmaze:FILE, antmaze:FILE: in the maze drawn in a text file, see guider.tasks.mazes.read_maze
     gym:ENV_ID: a Gymnasium goal environment, see guider.tasks.gymnasium_tasks.goal_task
 
     Raises GuiderError, with the names closest to it, if there is none.
     """
-    if name in TASKS:
-        return TASKS[name]
     form, colon, rest = name.partition(":")
     if colon and form in OPEN_FORMS:
         return OPEN_FORMS[form](rest)
-    raise GuiderError(
-        f"no task is called {name!r}; {names_like(name, TASKS)} (`guider tasks` lists all, and pointmaze:MAZE.txt, "
-        "antmaze:MAZE.txt and gym:ENV_ID make one of a maze you draw or of a Gymnasium goal environment)"
+    forms = (
+        "`guider tasks` lists all, and pointmaze:MAZE.txt, antmaze:MAZE.txt and gym:ENV_ID make one of a maze you draw "
     )
+    return plugins.find("tasks", name, TASKS, f"{forms}or of a Gymnasium goal environment; ")
+
+
+def known_tasks() -> dict[str, Task]:
+    """TASKS and your own, by name."""
+    return plugins.known("tasks", TASKS)
