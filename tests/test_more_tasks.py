@@ -35,7 +35,9 @@ def test_tasks_are_listed_without_loading_their_simulators():
 def test_a_name_that_is_none_is_answered_by_those_like_it_or_a_few(find, names):
     with pytest.raises(GuiderError, match=r"'antmaze-large-diverze'; did you mean antmaze-large-diverse"):
         find("antmaze-large-diverze")
-    with pytest.raises(GuiderError, match=rf"'zzz'; there are {next(iter(names))}, .* and {len(names) - 12} more( \(|;)"):
+    with pytest.raises(
+        GuiderError, match=rf"'zzz'; there are {next(iter(names))}, .* and {len(names) - 12} more( \(|;)"
+    ):
         find("zzz")
 
 
