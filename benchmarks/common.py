@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes, make_episodes
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.processor import settled
 from guider.learning.training import compile_chunk, init_seeds, no_sums, seed_keys
 from guider.methods import guider
 from guider.methods.guider import GuiderConfig, guider_config
-from guider.methods.presets import Preset
 from guider.methods.view import prepare
 
 STAGES = ("latent", "high", "low")

@@ -18,12 +18,13 @@ import jax.numpy as jnp
 from guider.data.episodes import Spaces
 from guider.learning.networks import Layers, Precision, mlp, mlp_init
 from guider.learning.optimisers import Moments, adam_init, adam_step
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import sample_flat
 from guider.learning.training import Stage
 from guider.learning.windows import Data
 from guider.methods.method import Method
-from guider.methods.presets import Preset, fast
+from guider.methods.presets import fast
 from guider.methods.view import Scale, ViewConfig
 
 

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from guider.evaluation.heldout import held_out_scores
 from guider.evaluation.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
 from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval
 from guider.learning import processor
+from guider.learning.options import LearningOptions, said
 from guider.learning.problem import Problem
 from guider.learning.training import Chunk
 from guider.learning.windows import no_window
 from guider.methods import find_method, preset_config
 from guider.methods.policy import Agent, Policy
-from guider.methods.presets import Preset
 from guider.methods.view import check_radius, data_use, learned_windows
 from guider.runs import Pace, Run, RunSpec
 from guider.support import files
@@ -45,14 +45,6 @@ def train(
     task: str | None = None,
     data: str | Path | Episodes | None = None,
     *,
-    goal_indices: Sequence[int] | None = None,
-    radius: float | None = None,
-    reach_radius: float | None = None,
-    period_steps: int | None = None,
-    format: str | None = None,
-    episode_ends: Sequence[str] = (),
-    method: str = "guider",
-    preset: Preset = "fast",
     settings: dict[str, Any] | None = None,
     seeds: int | Sequence[int] = 1,
     out: str | Path | None = None,
@@ -62,15 +54,13 @@ def train(
     say: Callable[[str], None] = lambda line: None,
     stage_cache: str | Path | None = None,
     pace: Pace = DEFAULT_PACE,
+    **options: Unpack[LearningOptions],
 ) -> Run:
     """Train on a task's data or on your own, and return the finished run.
 
     task: a name from `guider tasks`, or None for your own data, which then needs `radius` (goal units) and, where the
         data does not name its goal space, `goal_indices`.
     data: a file or dataset (see `guider.load_data`), or Episodes.
-    episode_ends: which signs of where episodes end to take from a file, by name; default: decided from all there are.
-    reach_radius: a subgoal counts as reached this near; default the task's, or twice the radius.
-    period_steps: c; default the task's, or a twentieth of the median episode, at least 5.
     settings: further settings by dotted name, e.g. {"high.samples": 2}; see guider.methods and guider.learners.
     seeds: how many agents to train at once (seeds 0, 1, ...), or their seeds.
     out: run directory, new; default runs/TASK-METHOD-PRESET.
@@ -80,16 +70,16 @@ def train(
     on_chunk: called between chunks of updates, e.g. to show progress; say: called before training with a line about
         what of the data is learned from, which run.json keeps; pace: how often to report and save.
     stage_cache: directory of stages trained before, by runs that share it: equal ones are taken over, new ones added.
+    options: see LearningOptions.
     """
+    asked = said(options)
     listed = seeds if isinstance(seeds, Iterable) else range(_whole(seeds, "seeds"))
     seeds = tuple(_whole(seed, "seeds") for seed in listed)
     _check_seeds(seeds)
     cache = _cache(stage_cache, evaluate_every)
-    directory = default_directory(task, method, preset) if out is None else user_path(out)
+    directory = run_directory(task, out, options)
     runs.check_free(directory)
-    problem, episodes, config = _settle(
-        task, data, goal_indices, radius, reach_radius, period_steps, format, episode_ends, method, preset, settings
-    )
+    problem, episodes, config = _settle(task, data, settings, asked)
     held_out = (0.1 if task is None else 0.0) if held_out is None else _number(held_out, "held_out")
     if not 0 <= held_out < 1:
         raise GuiderError(f"--held-out is a fraction from 0 to below 1, got {held_out}")
@@ -105,12 +95,12 @@ def train(
     spec = RunSpec(
         task=task,
         data=_lasting(data, episodes),
-        format=format,
-        episode_ends=tuple(episode_ends),
+        format=asked.get("format"),
+        episode_ends=tuple(asked.get("episode_ends", ())),
         fingerprint=episodes.fingerprint(),
         held_out=held_out,
-        method=method,
-        preset=preset,
+        method=asked["method"],
+        preset=asked["preset"],
         seeds=seeds,
         config=config,
         spaces=episodes.spaces,
@@ -120,38 +110,26 @@ def train(
     return runs.start(directory, spec, facts, episodes, callback, pace, cache)
 
 
-def inspect(
-    data: str | Path,
-    *,
-    task: str | None = None,
-    goal_indices: Sequence[int] | None = None,
-    radius: float | None = None,
-    reach_radius: float | None = None,
-    period_steps: int | None = None,
-    format: str | None = None,
-    episode_ends: Sequence[str] = (),
-    method: str = "guider",
-    preset: Preset = "fast",
-) -> dict[str, Any]:
+def inspect(data: str | Path, *, task: str | None = None, **options: Unpack[LearningOptions]) -> dict[str, Any]:
     """What logged data holds (see guider.data.describe) and, given a task or a radius, what `train` would make of it:
     options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state."""
-    if task is None and radius is None and (reach_radius is not None or period_steps is not None):
+    asked = said(options)
+    described_only = task is None and "radius" not in asked
+    if described_only and ("reach_radius" in asked or "period_steps" in asked):
         raise GuiderError("--reach-radius and --period-steps say how to train; give --task or --radius with them")
-    named = find_task(task).goal_indices if task is not None and goal_indices is None else goal_indices
-    episodes = data_sources.load(data, named, format=format, episode_ends=episode_ends, assumed_goal=(0, 1))
+    reading = {name: asked.pop(name) for name in ("format", "episode_ends") if name in asked}
+    named = find_task(task).goal_indices if task is not None else None
+    episodes = data_sources.load(data, asked.get("goal_indices", named), **reading, assumed_goal=(0, 1))
     description = data_sources.describe(episodes)
-    if task is None and radius is None:
+    if described_only:
         return description
-    given = None if task is None else goal_indices
-    problem, _, config = _settle(
-        task, episodes, given, radius, reach_radius, period_steps, None, (), method, preset, None
-    )
+    problem, _, config = _settle(task, episodes, None, asked)
     use = data_use(config.view, problem, episodes)
     refused = "" if use.windows else f"; {no_window(episodes, problem.period_steps, config.view.minimum_move)}"
     return description | {
         "training": {
-            "method": method,
-            "preset": preset,
+            "method": asked["method"],
+            "preset": asked["preset"],
             "radius": problem.radius,
             "reach_radius": problem.reach_radius,
             "period_steps": problem.period_steps,
@@ -163,31 +141,25 @@ def inspect(
 def _settle(
     task: str | None,
     data: str | Path | Episodes | None,
-    goal_indices: Sequence[int] | None,
-    radius: float | None,
-    reach_radius: float | None,
-    period_steps: int | None,
-    format: str | None,
-    episode_ends: Sequence[str],
-    method: str,
-    preset: Preset,
     settings: dict[str, Any] | None,
+    asked: dict[str, Any],
 ) -> tuple[Problem, Episodes, Any]:
     """(what is to be learned, all episodes, the method's settings), from what the user said and the data."""
     if fixed := [name for name in settings or {} if name.startswith("problem.")]:
         raise GuiderError(f"{fixed[0]} is no setting: the task, or an option of its own, decides it")
     benchmark = None if task is None else find_task(task)
+    method, preset = asked["method"], asked["preset"]
     preset_config(method, preset, Problem())  # a name that is none is told before any data is read
     if data is None:
         hint = f"make some with `guider collect {task} --out FILE`" if benchmark and benchmark.collector else "a file"
         raise GuiderError(f"no data given: name it with --data ({hint})")
+    reading = {name: asked[name] for name in ("format", "episode_ends") if name in asked}
     if benchmark is not None:
-        if goal_indices is not None or radius is not None:
+        if "goal_indices" in asked or "radius" in asked:
             raise GuiderError(
                 f"{benchmark.name} fixes its goal entries and radius; leave --goal-indices and --radius out"
             )
-        own = isinstance(data, Episodes)
-        episodes = _episodes(data, None if own else benchmark.goal_indices, format, episode_ends)
+        episodes = _episodes(data, None if isinstance(data, Episodes) else benchmark.goal_indices, **reading)
         if episodes.goal_indices != benchmark.goal_indices:
             raise GuiderError(
                 f"the goal entries of {benchmark.name} are {benchmark.goal_indices}, those of the episodes "
@@ -196,27 +168,30 @@ def _settle(
         _check_fits(benchmark, episodes)
         problem = _problem(benchmark)
     else:
-        if radius is None:
+        if "radius" not in asked:
             raise GuiderError(
                 "without a task name, say how near to a goal counts as met (--radius 0.5) and which state entries are "
                 "the goal (--goal-indices 0 1)"
             )
-        episodes = _episodes(data, goal_indices, format, episode_ends)
+        episodes = _episodes(data, asked.get("goal_indices"), **reading)
         period = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
         period = min(period, int(episodes.lengths.max()) - 1)
-        radius = _number(radius, "radius")
+        radius = _number(asked["radius"], "radius")
         problem = Problem(radius, 2 * radius, period)
         check_radius(problem, episodes)
-    if reach_radius is not None:
-        problem = replace(problem, reach_radius=_number(reach_radius, "reach_radius"))
-    if period_steps is not None:
-        problem = replace(problem, period_steps=_whole(period_steps, "period_steps"))
+    if "reach_radius" in asked:
+        problem = replace(problem, reach_radius=_number(asked["reach_radius"], "reach_radius"))
+    if "period_steps" in asked:
+        problem = replace(problem, period_steps=_whole(asked["period_steps"], "period_steps"))
     return problem, episodes, override(preset_config(method, preset, problem), settings or {})
 
 
-def default_directory(task: str | None, method: str, preset: str) -> Path:
-    """Where a run goes if nobody says otherwise."""
-    return Path("runs") / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', task or 'own')}-{method}-{preset}"
+def run_directory(task: str | None, out: str | Path | None, options: LearningOptions) -> Path:
+    """Where a run goes: `out`, or else runs/TASK-METHOD-PRESET."""
+    if out is not None:
+        return user_path(out)
+    asked = said(options)
+    return Path("runs") / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', task or 'own')}-{asked['method']}-{asked['preset']}"
 
 
 def resume(
@@ -522,7 +497,10 @@ def _lasting(data: str | Path | Episodes | None, episodes: Episodes) -> str:
 
 
 def _episodes(
-    data: str | Path | Episodes, goal_indices: Sequence[int] | None, format: str | None, episode_ends: Sequence[str]
+    data: str | Path | Episodes,
+    goal_indices: Sequence[int] | None,
+    format: str | None = None,
+    episode_ends: Sequence[str] = (),
 ) -> Episodes:
     if not isinstance(data, Episodes):
         return data_sources.load(data, goal_indices, format=format, episode_ends=episode_ends)

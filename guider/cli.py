@@ -20,6 +20,7 @@ import tyro
 
 from guider.commands import COMMANDS
 from guider.errors import GuiderError, GuiderWarning, Stopped
+from guider.learning.options import LearningOptions
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
                 prog="guider",
                 description="Learn long, sparse-reward tasks from logged data: get data, train, evaluate, plot.",
                 args=_gathered(sys.argv[1:] if arguments is None else arguments),
-                config=(tyro.conf.FlagCreatePairsOff,),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
             )
             sys.stdout.flush()
     except BrokenPipeError:
@@ -104,6 +105,7 @@ def _showing_warnings() -> Iterator[None]:
 
 
 _OPTION = re.compile(r"--[a-z]")
+_SEVERAL = re.compile(r"^(ForwardRef\(')?(tuple|Sequence)\[")
 
 
 def _gathered(arguments: list[str]) -> list[str]:
@@ -112,8 +114,8 @@ def _gathered(arguments: list[str]) -> list[str]:
     command = COMMANDS.get(arguments[0]) if arguments else None
     if command is None:
         return arguments
-    parameters = inspect.signature(command).parameters.values()
-    several = {f"--{p.name.replace('_', '-')}" for p in parameters if str(p.annotation).startswith("tuple[")}
+    annotations = inspect.get_annotations(command) | LearningOptions.__annotations__
+    several = {f"--{name.replace('_', '-')}" for name, kind in annotations.items() if _SEVERAL.search(str(kind))}
     gathered: list[list[str]] = [[]]  # positional arguments, then each option with its values
     for argument in arguments:
         if not _OPTION.match(argument):

@@ -322,3 +322,10 @@ def test_letters_that_a_terminal_lacks_are_no_error(logs, tmp_path):
         env=os.environ | {"PYTHONIOENCODING": "ascii"},
     )
     assert done.returncode == 0 and "Traceback" not in done.stderr and "\\xfc" in done.stdout
+
+
+def test_an_option_that_is_none_is_told_with_those_like_it(tmp_path):
+    with pytest.raises(TypeError, match="no option 'radus'; did you mean radius"):
+        api.train(data=tmp_path / "logs.npz", radus=0.5)  # pyright: ignore[reportCallIssue]
+    with pytest.raises(TypeError, match="no option 'periods'"):
+        api.inspect(tmp_path / "logs.npz", periods=5)  # pyright: ignore[reportCallIssue]

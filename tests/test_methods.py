@@ -19,10 +19,10 @@ import guider
 from guider import api, runs
 from guider.data.episodes import Episodes, make_episodes
 from guider.errors import GuiderError
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import METHODS, hiql, preset_config
 from guider.methods.policy import Policy, compiled_act, initial_state
-from guider.methods.presets import Preset
 from guider.runs import Run
 from guider.support.config import differences, from_dict, to_dict
 

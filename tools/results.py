@@ -20,9 +20,9 @@ import numpy as np
 
 from guider import runs
 from guider.evaluation.rollouts import success_interval
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import preset_config
-from guider.methods.presets import Preset
 from guider.reproduce.scores import training_minutes
 from guider.support.config import differences
 from guider.support.files import parse_json, write_json, write_text

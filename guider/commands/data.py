@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import tyro
 
 from guider.commands.options import Json
 from guider.commands.screen import answer, bar
 from guider.errors import GuiderError
+from guider.learning.options import LearningOptions
 
 
 def data(
     action: tyro.conf.Positional[Literal["inspect", "fetch"]],
     source: tyro.conf.Positional[str | None] = None,
     task: str | None = None,
-    goal_indices: tuple[int, ...] = (),
-    radius: float | None = None,
-    reach_radius: float | None = None,
-    period_steps: int | None = None,
-    format: str | None = None,
-    episode_ends: tuple[str, ...] = (),
     out: Path | None = None,
     mirror: str | None = None,
     as_json: Json = False,
+    **learning: Unpack[LearningOptions],
 ) -> None:
     """Look at logged data, or fetch what others published.
 
@@ -36,12 +32,6 @@ def data(
         action: inspect or fetch.
         source: What to inspect: HDF5, npz, a pickle of WGCSL's, a Minari directory or minari:ID. Or a name to fetch.
         task: inspect: the benchmark that it is for.
-        goal_indices: inspect: the state entries that are the goal; by default the source's own, or else 0 1.
-        radius: inspect: a goal counts as met within this distance, as for `guider train`.
-        reach_radius: inspect: as for `guider train`.
-        period_steps: inspect: as for `guider train`.
-        format: inspect: how to read it, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl.
-        episode_ends: inspect: which signs of where episodes end to take, of those listed.
         out: fetch: directory for the files; by default GUIDER_DATA, or else ~/.cache/guider.
         mirror: fetch: URL of a folder that holds the files under their own names, tried first.
         as_json: Print one JSON document instead of text.
@@ -50,24 +40,14 @@ def data(
     from guider.data.catalogue import CATALOGUE, find_dataset
     from guider.data.download import fetch
 
-    reading = (task, radius, reach_radius, period_steps, format)
-    if action == "fetch" and (any(value is not None for value in reading) or goal_indices or episode_ends):
+    if action == "fetch" and (task is not None or learning):
         raise GuiderError("guider data fetch takes --out and --mirror only; the other options are for inspect")
     if action == "inspect" and (out is not None or mirror is not None):
         raise GuiderError("guider data inspect takes no --out and no --mirror; they are for fetch")
     if action == "inspect":
         if source is None:
             raise GuiderError("say what to inspect: guider data inspect SOURCE")
-        description = api.inspect(
-            source,
-            task=task,
-            goal_indices=goal_indices or None,
-            radius=radius,
-            reach_radius=reach_radius,
-            period_steps=period_steps,
-            format=format,
-            episode_ends=episode_ends,
-        )
+        description = api.inspect(source, task=task, **learning)
         shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
         lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items()]
         answer(description, "\n".join(lines), as_json)

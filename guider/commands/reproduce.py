@@ -10,7 +10,7 @@ from rich.markup import escape
 from guider.commands.options import Json, assignments
 from guider.commands.screen import answer, plan_bar
 from guider.errors import GuiderError
-from guider.methods.presets import Preset
+from guider.learning.options import Preset
 from guider.reproduce.paper import TargetName
 from guider.support.files import user_path
 

@@ -4,64 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import tyro
 
 from guider.commands.options import Json, assignments
 from guider.commands.screen import answer, stage_bars
 from guider.errors import GuiderError
-from guider.methods.presets import Preset
+from guider.learning.options import LearningOptions
 from guider.support.files import user_path
 
 
 def train(
     task: tyro.conf.Positional[str | None] = None,
     data: str | None = None,
-    method: str | None = None,
-    preset: Preset | None = None,
     seeds: int | None = None,
     first_seed: int | None = None,
     out: Path | None = None,
     resume: Path | None = None,
-    goal_indices: tuple[int, ...] = (),
-    radius: float | None = None,
-    reach_radius: float | None = None,
-    period_steps: int | None = None,
     held_out: float | None = None,
-    format: str | None = None,
-    episode_ends: tuple[str, ...] = (),
     set: tuple[str, ...] = (),
     evaluate_every: int = 0,
     stage_cache: Path | None = None,
     log_to: Literal["tensorboard", "wandb"] | None = None,
     as_json: Json = False,
+    **learning: Unpack[LearningOptions],
 ) -> None:
     """Learn a policy from logged data.
 
-    A benchmark:    guider train pointmaze-large --data datasets/pointmaze-large.hdf5 --seeds 4
-    Your own logs:  guider train --data logs.npz --goal-indices 0 1 --radius 0.5 --out runs/robot
-    After a crash:  guider train --resume runs/robot
+    A benchmark: guider train pointmaze-large --data datasets/pointmaze-large.hdf5 --seeds 4
+
+    Your own logs: guider train --data logs.npz --goal-indices 0 1 --radius 0.5 --out runs/robot
+
+    After a crash: guider train --resume runs/robot
 
     Args:
         task: A benchmark from `guider tasks`; leave it out for your own data.
         data: HDF5 (D4RL), npz (OGBench or your own), a Minari directory or minari:ID. See `guider data inspect`.
-        method: What to train: guider (if nothing is said); guider-gcsl, guider-wgcsl or guider-cql (with another low
-            level); hiql, hiql-places, opal; or, without subgoals, bc, gcsl, wgcsl, cql-her, iql. Or one of your own,
-            from a file that the environment variable GUIDER_METHODS names.
-        preset: `fast` (if nothing is said) fits two cores; `paper` is the paper's equations and the authors' settings.
         seeds: How many agents to train at once, in one compiled program; by default 1.
         first_seed: Their seeds count up from here, by default 0, so that several machines can share a set of seeds.
         out: New directory for the run; by default runs/TASK-METHOD-PRESET.
         resume: Continue this interrupted run; the result is the same to the bit. Other settings are the run's own.
-        goal_indices: Own data: the state entries that are the goal, e.g. 0 1 for x and y. Minari's goal observations
-            name them themselves.
-        radius: Own data: a goal counts as met within this distance, in the units of those entries.
-        reach_radius: A subgoal counts as reached within this distance; by default twice the radius.
-        period_steps: Steps between subgoals (c); by default the task's, or a twentieth of the median episode.
         held_out: Fraction of episodes kept aside for `guider evaluate`; by default 0.1 for own data, else 0.
-        format: How to read the data, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl.
-        episode_ends: Which signs of where episodes end to take, of those that `guider data inspect` lists.
         set: Further settings by dotted name, e.g. --set high.samples=2 low.updates=50000.
         evaluate_every: Evaluate on the task after every so many updates of the last stage (0: never).
         stage_cache: Directory where runs share their stages: equal ones trained before are taken over, new ones kept.
@@ -72,15 +56,14 @@ def train(
     from guider.runs import sinks
 
     if resume is not None:
-        said = (task, method, preset, seeds, first_seed, out, radius, reach_radius, period_steps, held_out, format)
-        if any(value is not None for value in said) or goal_indices or episode_ends or set:
+        if learning or set or any(value is not None for value in (task, seeds, first_seed, out, held_out)):
             raise GuiderError("--resume takes all settings from the run; give only --data if the data has moved")
         directory = user_path(resume)
     else:
-        method, preset, seeds = method or "guider", preset or "fast", 1 if seeds is None else seeds
+        seeds = 1 if seeds is None else seeds
         if seeds < 1:
             raise GuiderError(f"--seeds must be 1 or more, got {seeds}")
-        directory = user_path(out) if out is not None else api.default_directory(task, method, preset)
+        directory = api.run_directory(task, out, learning)
     sink = sinks.sink(log_to, directory)
     with stage_bars() as (say, show):
         if resume is not None:
@@ -92,14 +75,6 @@ def train(
             run = api.train(
                 task,
                 data,
-                goal_indices=goal_indices or None,
-                radius=radius,
-                reach_radius=reach_radius,
-                period_steps=period_steps,
-                format=format,
-                episode_ends=episode_ends,
-                method=method or "guider",
-                preset=preset or "fast",
                 settings=assignments(set),
                 seeds=range(first_seed, first_seed + (seeds or 1)),
                 out=directory,
@@ -108,6 +83,7 @@ def train(
                 on_chunk=_both(show, sink),
                 say=say,
                 stage_cache=stage_cache,
+                **learning,
             )
     text = f"trained {run.directory}; next: `guider evaluate {run.directory}` and `guider plot {run.directory}`"
     answer({"run": str(run.directory), "seeds": list(run.spec.seeds)}, text, as_json)

@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from guider.errors import GuiderError, names_like
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import flat, guider, hiql, opal
 from guider.methods.method import Method
-from guider.methods.presets import Preset
 from guider.support import plugins
 
 METHODS: dict[str, Method] = guider.METHODS | flat.METHODS | hiql.METHODS | opal.METHODS

@@ -24,12 +24,13 @@ from guider.learners import (
 from guider.learning import losses
 from guider.learning.networks import Precision
 from guider.learning.optimisers import cosine_rate
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import FlatBatch, Future, sample_flat
 from guider.learning.training import Stage
 from guider.learning.windows import Data
 from guider.methods.method import Method
-from guider.methods.presets import MANIPULATION, Preset, fast
+from guider.methods.presets import MANIPULATION, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_shares, override
 

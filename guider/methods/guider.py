@@ -27,6 +27,7 @@ from guider.learners import (
 from guider.learning import losses
 from guider.learning.networks import Precision, twin_values
 from guider.learning.optimisers import cosine_rate
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import HighBatch, LowBatch, sample_high, sample_low, sample_windows
 from guider.learning.training import Stage
@@ -34,7 +35,7 @@ from guider.learning.windows import Data
 from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.method import Method
-from guider.methods.presets import MANIPULATION, Preset, fast
+from guider.methods.presets import MANIPULATION, fast
 from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import (

@@ -24,12 +24,13 @@ from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
 from guider.learning import losses
 from guider.learning.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
 from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import ValueBatch, WaypointBatch, sample_value, sample_waypoints
 from guider.learning.training import Metrics, Stage
 from guider.learning.windows import Data
 from guider.methods.method import Method
-from guider.methods.presets import MANIPULATION, Preset, fast
+from guider.methods.presets import MANIPULATION, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
-from guider.methods.presets import Preset
 
 
 @dataclass(frozen=True)

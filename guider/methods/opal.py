@@ -21,13 +21,14 @@ from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
 from guider.learning import losses
 from guider.learning.networks import Gaussian, Gru, Layers, Precision, gaussian_head, gru, gru_init, mlp, mlp_init
 from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import SkillBatch, Trajectories, sample_skills, sample_trajectories
 from guider.learning.training import Metrics, Stage
 from guider.learning.windows import Data
 from guider.methods import subgoal_policy
 from guider.methods.method import Method
-from guider.methods.presets import MANIPULATION, Preset, fast
+from guider.methods.presets import MANIPULATION, fast
 from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, under

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from guider.learning.problem import Problem
 from guider.methods.view import ViewConfig
 from guider.support.config import ByDomain, Changes, override
 
 C = TypeVar("C")
-Preset = Literal["fast", "paper"]
 
 IDLE_STRETCHES = ("antmaze", "fetch", "kitchen")
 """Domains in whose data learning from moving windows only was measured to help (docs/results.md). Elsewhere every row

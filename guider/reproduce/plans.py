@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from guider.errors import GuiderError, names_like
+from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import find_method, preset_config
-from guider.methods.presets import Preset
 from guider.reproduce import paper
 from guider.reproduce.paper import PaperScore
 from guider.support.config import flatten, to_dict
