@@ -11,12 +11,10 @@ import numpy as np
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError
 from guider.learners import learner
-from guider.learning.networks import twin_values
 from guider.methods import find_method
-from guider.methods.guider import GuiderConfig, high_inputs, low_inputs, propose_subgoal
+from guider.methods.guider import GuiderConfig, low_inputs, propose_subgoal, value
 from guider.methods.latent_subgoals import encode, prior
 from guider.methods.policy import Policy, initial_state
-from guider.methods.subgoal_policy import propose
 from guider.methods.view import learned_windows
 
 MAX_ROWS = 20_000
@@ -36,7 +34,7 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
                           nearest goal-space state that starts one of these windows
     subgoals_in_range:    share of proposed subgoals no further away than 99 % of true c-step outcomes
     value_rank:           mean over episodes of Spearman's correlation between time and the high level's value
-                          of the episode's last state as goal: 1 where value rises all along
+                          (or minus the steps by the routes) of the episode's last state as goal: 1 where it rises
     """
     config = policy.config
     period_steps = config.problem.period_steps
@@ -114,15 +112,13 @@ def _scores_of_parts(
     logged = np.asarray(achieved)
     nearest = [np.linalg.norm(logged - point, axis=1).min() for point in np.asarray(subgoal)[probes]]
 
-    high = high_inputs(state.scale, achieved, seen.final)
-    best = propose(state.high.params, high).mean
-    value = np.asarray(twin_values(state.high.params.critic, high, best).min(axis=0))
+    worth = np.asarray(value(config, state, achieved, seen.final))
     return {
         "prior_coverage": coverage(latent),
         "prior_coverage_shuffled": coverage(elsewhere),
         "subgoal_distance": float(np.median(nearest)),
         "subgoals_in_range": float(np.mean(proposed_travel <= np.quantile(travel, 0.99))),
-        "value_rank": _mean_rank_correlation(value, episode),
+        "value_rank": _mean_rank_correlation(worth, episode),
     }
 
 

@@ -32,11 +32,12 @@ from guider.learning.problem import Problem
 from guider.learning.samplers import HighBatch, LowBatch, sample_high, sample_low, sample_windows
 from guider.learning.training import Stage
 from guider.learning.windows import Data
-from guider.methods import latent_subgoals, subgoal_policy
+from guider.methods import latent_subgoals, routes, subgoal_policy
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, fast
-from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig, SubgoalPolicyState
+from guider.methods.routes import RoutesConfig
+from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import (
     ByDomain,
@@ -89,6 +90,8 @@ class GuiderConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     precision: Precision = "float32"
     action_scale: float = 1.0
+    planner: Literal["policy", "routes"] = "policy"
+    """Who chooses subgoals: pi_h (Eq. 4), or the graph over logged places in its stead (departure, see routes.py)."""
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
     candidates: int = 1
@@ -98,6 +101,7 @@ class GuiderConfig:
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
     high: SubgoalPolicyConfig = field(default_factory=SubgoalPolicyConfig)
+    routes: RoutesConfig = field(default_factory=RoutesConfig)
     low: GoalPolicyConfig = field(default_factory=GoalPolicyConfig)
 
     def __post_init__(self) -> None:
@@ -106,11 +110,12 @@ class GuiderConfig:
 
 
 class GuiderState(NamedTuple):
-    """Everything that training changes or acting needs. low: the state of its learner."""
+    """Everything that training changes or acting needs. high: SubgoalPolicyState, or Routes where they choose subgoals;
+    low: the state of its learner."""
 
     scale: Scale
     latent: LatentState
-    high: SubgoalPolicyState
+    high: Any
     low: Any
 
 
@@ -125,7 +130,9 @@ def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> 
     return GuiderState(
         scale=scale,
         latent=latent_subgoals.init(latent_key, config.latent, goal_dim, position_dim),
-        high=subgoal_policy.init(high_key, config.high, 2 * position_dim, latent_dim),
+        high=routes.init(config.routes, goal_dim)
+        if config.planner == "routes"
+        else subgoal_policy.init(high_key, config.high, 2 * position_dim, latent_dim),
         low=learner(low.learner).init(low_key, low.learner, low.hidden, low_input_dim, spaces.action_dim),
     )
 
@@ -229,9 +236,14 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, state.low.optimiser)
         return learner(settings.learner).update(settings.learner, state.low, transitions, update_key, rate)
 
+    def build_routes(state: GuiderState, data: Data, key: jax.Array):
+        return routes.build(config.routes, data, config.problem)
+
     return (
         Stage("latent subgoals", "latent", config.latent.updates, update_latent),
-        Stage("subgoal policy", "high", config.high.updates, update_high),
+        Stage("routes", "high", 1, build_routes)
+        if config.planner == "routes"
+        else Stage("subgoal policy", "high", config.high.updates, update_high),
         Stage("goal policy", "low", config.low.updates, update_low),
     )
 
@@ -255,7 +267,9 @@ def initial_acting_state(config: GuiderConfig, goal_dim: int, batch_size: int) -
 def acts_by(config: GuiderConfig) -> str:
     """How a subgoal is chosen, and for how long."""
     chosen = "mean of the subgoal policy"
-    if config.candidates > 1:
+    if config.planner == "routes":
+        chosen = "logged place nearest to the goal by logged steps"
+    elif config.candidates > 1:
         chosen = f"best of {config.candidates} samples of the {'prior' if config.high.prior else 'subgoal policy'}"
     until = " or once it is reached" if config.replan == "reached" else ""
     return f"{chosen}, a new one every {config.problem.period_steps} steps{until}"
@@ -279,19 +293,33 @@ def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Arra
 def propose_subgoal(
     config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where to go next: (subgoal [B, G], latent [B, Z]), the latent being pi_h's mean or the best of `candidates`, and
-    the subgoal what it decodes to, or the final goal where `final_goal_substitution` says so."""
-    latent = _propose_latent(config, state, achieved, goal)
-    subgoal = latent_subgoals.decode(config.latent, state.latent.params, state.scale, achieved, latent)
+    """Where to go next, (subgoal [B, G], latent [B, Z]): what pi_h's mean or the best of `candidates` decodes to, or
+    the next place of the routes; the final goal where `final_goal_substitution` says so."""
+    parts, reach_radius, latents = config.problem.goal_parts, config.problem.reach_radius, state.latent.params
+    if config.planner == "routes":
+        within_steps = config.routes.horizon * config.problem.period_steps
+        subgoal, _ = routes.next_place(state.high, achieved, goal, within_steps, parts)
+        latent = latent_subgoals.encode(config.latent, latents, state.scale, achieved, subgoal).mean
+    else:
+        latent = _propose_latent(config, state, achieved, goal)
+        subgoal = latent_subgoals.decode(config.latent, latents, state.scale, achieved, latent)
     if config.final_goal_substitution:
-        parts, reach_radius = config.problem.goal_parts, config.problem.reach_radius
         near = jnp.minimum(largest_distance(subgoal, goal, parts), largest_distance(achieved, goal, parts))[..., None]
         subgoal = jnp.where(near <= reach_radius, goal, subgoal)
         if config.low.subgoal_input == "latent":
-            params = state.latent.params
-            final = latent_subgoals.encode(config.latent, params, state.scale, achieved, goal).mean
+            final = latent_subgoals.encode(config.latent, latents, state.scale, achieved, goal).mean
             latent = jnp.where(near <= reach_radius, final, latent)
     return subgoal, latent
+
+
+def value(config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+    """[B] of being at `achieved` with this goal, by what chooses subgoals: the critic's of what pi_h proposes, or minus
+    the steps that the routes count. achieved, goal: [B, G]."""
+    if config.planner == "routes":
+        return -routes.next_place(state.high, achieved, goal, 0.0, config.problem.goal_parts)[1]
+    _, latent = propose_subgoal(config, state, achieved, goal)
+    inputs = high_inputs(state.scale, achieved, goal)
+    return twin_values(state.high.params.critic, inputs, latent).min(axis=0)
 
 
 def act(
@@ -362,7 +390,7 @@ _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
     # How to round corners without falling is what takes long to learn.
     "antmaze": _IN_METRES | {"low.updates": 100_000},
-    "pointmaze": _IN_METRES,
+    "pointmaze": _IN_METRES | {"planner": "routes"},
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'. An object moves within
     # c steps only once the hand is there: with the slack, where it shall go is a subgoal on the way there too. Sized
     # for the tasks' 40,000 episodes: a tenth of them is learned by heart, and wants 8,000 updates.

@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes
-from guider.learning.networks import twin_values
 from guider.methods import guider, latent_subgoals
 from guider.methods.policy import Policy
 from guider.methods.view import learned_windows
 
 
 def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Subgoals that pi_h proposes and the critic's value of them (the smaller of the twins).
+    """Subgoals that are proposed, and the value of being there, see guider.methods.guider.value.
 
     achieved: [B, G]; goal: [G] or [B, G]. Returns ([B, G], [B]).
     """
@@ -27,10 +26,8 @@ def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[n
 
 @jax.jit
 def _proposals(policy: Policy, achieved: jax.Array, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
-    state: guider.GuiderState = policy.state
-    subgoal, latent = guider.propose_subgoal(policy.config, state, achieved, goal)
-    inputs = guider.high_inputs(state.scale, achieved, goal)
-    return subgoal, twin_values(state.high.params.critic, inputs, latent).min(axis=0)
+    subgoal, _ = guider.propose_subgoal(policy.config, policy.state, achieved, goal)
+    return subgoal, guider.value(policy.config, policy.state, achieved, goal)
 
 
 def prior_samples(policy: Policy, achieved: np.ndarray, count: int) -> np.ndarray:
