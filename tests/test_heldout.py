@@ -53,20 +53,17 @@ def test_action_error_by_hand(monkeypatch):
 @pytest.fixture
 def guided(monkeypatch) -> Any:
     """A Guider policy that names every move by its length and holds lengths for N(0, 2^2); proposes a state 0.25 beyond
-    the final goal; and whose critics value being near it, the second less so and the other way round."""
+    the final goal; and values being far from it."""
     moves = {
         "encode": lambda config, params, scale, achieved, later: Gaussian(later - achieved, jnp.zeros_like(later)),
         "prior": lambda params, scale, achieved: Gaussian(jnp.zeros_like(achieved), jnp.full_like(achieved, np.log(2))),
         "propose_subgoal": lambda config, state, achieved, goal: (goal + 0.25, None),
-        "high_inputs": lambda scale, achieved, goal: jnp.abs(goal - achieved)[:, 0],
-        "propose": lambda params, inputs: Gaussian(inputs, inputs),
-        "twin_values": lambda critic, inputs, latents: jnp.stack([-inputs, inputs - 1000]),
+        "value": lambda config, state, achieved, goal: jnp.abs(goal - achieved)[:, 0],
         "_low_level_actions": lambda policy, seen: np.zeros((len(seen.achieved), 1)),
     }
     for name, stand_in in moves.items():
         monkeypatch.setattr(heldout, name, stand_in)
-    params = SimpleNamespace(critic=None)
-    state = SimpleNamespace(latent=SimpleNamespace(params=None), high=SimpleNamespace(params=params), scale=None)
+    state = SimpleNamespace(latent=SimpleNamespace(params=None), scale=None)
     return SimpleNamespace(config=GuiderConfig(Problem(period_steps=1)), state=state)
 
 
@@ -79,7 +76,7 @@ def test_scores_of_parts_by_hand(guided):
     assert shuffled is not None and shuffled < 0.5
     # Proposed are 9.75 and 1012.25; the windows that start nearest do so at 4.5 and at 1007.
     assert scores["subgoal_distance"] == pytest.approx(5.25)
-    assert scores["value_rank"] == pytest.approx(-1), "the smaller critic's value falls on the way"
+    assert scores["value_rank"] == pytest.approx(-1), "the value falls on the way"
 
 
 def test_subgoals_in_range_are_those_no_further_than_nearly_all_moves(guided):

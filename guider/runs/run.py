@@ -31,10 +31,12 @@ from guider.methods import find_method
 from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
-from guider.support.config import from_dict
+from guider.support.config import from_dict, to_dict
 from guider.support.files import checked, parse_json, walk
 
-FORMAT = 6
+FORMAT = 7
+EARLIER = (6,)
+"""Read too: settings that came later have defaults that are what was done before."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def open_run(directory: str | Path) -> Run:
         raise GuiderError(f"{directory} is not a run: it has no run.json") from None
     except OSError as error:
         raise GuiderError(f"{path} cannot be read: {error.strerror}") from error
-    if values.get("run_format") != FORMAT:
+    if (made := values.get("run_format")) not in (FORMAT, *EARLIER):
         raise GuiderError(f"{path} was written by another version of guider (this one reads run format {FORMAT})")
     values = checked(path, values, "put the original back, or train the run anew")
     for name in ("run_format", "made_with", "trained_on", "facts"):
@@ -167,7 +169,10 @@ def open_run(directory: str | Path) -> Run:
         method = find_method(str(values.get("method")))
     except GuiderError as error:
         raise GuiderError(f"{path}: {error}") from None
-    config = from_dict(method.config_type, values.pop("config", {}), f"{path}: config")
+    settings = values.pop("config", {})
+    if made in EARLIER and isinstance(settings, dict):
+        settings = to_dict(method.config_type()) | settings
+    config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
     return Run(directory, spec)
 
