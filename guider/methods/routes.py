@@ -31,7 +31,7 @@ class RoutesConfig:
     """Places are added until no logged one is further than this from the nearest, in reach radii."""
     crossings: int = 5
     """An edge leads where so many logged windows did."""
-    horizon: float = 0.5
+    horizon: float = 0.7
     """A subgoal lies along an edge of this share of c steps at most: a low level that learned from windows of up to c
     steps reaches what is nearer than that more surely, and without cutting corners."""
 
