@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from guider.data.episodes import Episodes
@@ -19,6 +20,7 @@ from guider.plots.curves import learning_curves, metric_labels, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.plots.logs import subgoals_on_logs
 from guider.plots.mazes import episodes_in_maze, reachable_in_maze, spread_positions, subgoal_arrows
+from guider.plots.routes import routes_in_maze
 from guider.runs import Run, RunSpec
 from guider.support.files import read_lines
 from guider.tasks.types import Task
@@ -29,6 +31,7 @@ __all__ = [
     "episodes_in_maze",
     "learning_curves",
     "reachable_in_maze",
+    "routes_in_maze",
     "score_curve",
     "subgoal_arrows",
     "subgoals_met",
@@ -79,6 +82,10 @@ def draw_run(
     if not guided:
         return saved
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
+    if policy.config.planner == "routes":
+        ends = np.stack([traces[0].achieved[0], traces[0].goal])
+        found = routes_in_maze(task, maze, logged, policy.config, policy.state.high, ends, title)
+        save(f"routes-seed{seed}", found)
     positions = spread_positions(maze, logged, 8)
     save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
     measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed).traces

@@ -71,7 +71,8 @@ def legible_subgoals(trace: Trace, spacing: float) -> np.ndarray:
 def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goal: np.ndarray, title: str) -> Figure:
     """From positions all over the maze, the subgoal proposed on the way to `goal` [2].
 
-    Colour is the critic's value of that subgoal; those inside a wall have a colour of their own.
+    Colour is the value of being there with this goal, see guider.methods.guider.value; subgoals in walls
+    have a colour of their own.
     """
     starts = maze_positions(maze, per_cell=3)
     subgoals, values = proposals(policy, starts, goal)
@@ -89,7 +90,8 @@ def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goa
     arrows = axes.quiver(*starts.T, *moves.T, values, cmap=canvas.TIME_COLOURS, **size)
     axes.quiver(*starts[walled].T, *moves[walled].T, color=canvas.RED, **size)
     canvas.flag(axes, goal, task.radius)
-    canvas.colour_bar(figure, arrows, [axes], "critic value of the subgoal")
+    routes = policy.config.planner == "routes"
+    canvas.colour_bar(figure, arrows, [axes], "minus the steps that are left" if routes else "critic value")
     inside = Line2D([], [], color=canvas.RED, marker=">", markersize=4, label="subgoal inside a wall")
     canvas.legend(figure, [canvas.logged_handle(), *([inside] if walled.any() else []), canvas.flag_handle()])
     return figure
