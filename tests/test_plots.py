@@ -411,8 +411,8 @@ def test_routes_show_places_edges_and_the_way(goal, stars, told):
     axes = figure.axes[0]
     lines = next(c for c in axes.collections if isinstance(c, LineCollection))
     assert len(lines.get_segments()) == 4
-    way = next(line for line in axes.lines if line.get_color() == canvas.DARK and len(line.get_xdata()) > 1)
-    np.testing.assert_allclose(way.get_xydata(), [[0.1, 0], *stars], atol=1e-6)
+    way = next(line for line in axes.lines if line.get_color() == canvas.DARK and np.size(line.get_xdata()) > 1)
+    np.testing.assert_allclose(np.asarray(way.get_xydata()), [[0.1, 0], *stars], atol=1e-6)
     assert told in figure.get_suptitle()
 
 

@@ -78,14 +78,15 @@ def test_a_place_is_passed_where_it_is_nearest_once_a_visit():
 
 
 def test_edges_are_mean_steps_between_passes():
-    """0 -> 1 in 1 and, in another episode, in 3 steps; 0 -> 2 in 4 steps is beyond c; no edge leads across episodes."""
-    near = jnp.array([0, 1, 0, 0, 0, 1, 2])
+    """0 -> 1 in 1 and, in another episode, in 3 steps; 0 -> 2 in 4 steps is beyond c; place 3 is never passed, and no
+    edge leads across episodes."""
+    near = jnp.array([0, 1, 0, 3, 0, 1, 2])
     passes = jnp.array([1, 1, 1, 0, 0, 1, 1], bool)
     last_row = jnp.array([1, 1, 6, 6, 6, 6, 6])
     edges = logged_edges(near, passes, last_row, 4, 3, crossings=1)
-    np.testing.assert_array_equal(edges, [[0, 2, INF, INF], [INF, 0, 1, INF], [INF, INF, 0, INF], [INF] * 4])
+    np.testing.assert_array_equal(edges, [[0, 2, INF, INF], [INF, 0, 1, INF], [INF, INF, 0, INF], [INF] * 3 + [0]])
     twice = logged_edges(near, passes, last_row, 4, 3, crossings=2)
-    np.testing.assert_array_equal(twice, [[0, 2, INF, INF], [INF, 0, INF, INF], [INF, INF, 0, INF], [INF] * 4])
+    np.testing.assert_array_equal(twice, [[0, 2, INF, INF], [INF, 0, INF, INF], [INF, INF, 0, INF], [INF] * 3 + [0]])
 
 
 @settings(max_examples=30, deadline=None)
