@@ -17,8 +17,9 @@ from guider import runs
 from guider.data.episodes import IN_MEMORY, Episodes
 from guider.errors import GuiderError, GuiderWarning
 from guider.evaluation.heldout import held_out_scores
-from guider.evaluation.outcomes import Ending, ending, proposed, share_in_walls, share_off_data
-from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval
+from guider.evaluation.outcomes import ending, subgoal_shares
+from guider.evaluation.rollouts import Rollouts, rollout
+from guider.evaluation.summary import summary
 from guider.learning import processor
 from guider.learning.options import LearningOptions, said
 from guider.learning.problem import Problem
@@ -32,7 +33,6 @@ from guider.support import files
 from guider.support.config import differences, override
 from guider.support.files import user_path
 from guider.tasks import Task, find_task
-from guider.tasks.mazes import Maze
 from guider.tasks.types import SCORE_UNITS
 
 DEFAULT_PACE = Pace()
@@ -290,7 +290,7 @@ def score(
         }
     else:
 
-        def outcome(index: int, policy: Policy) -> Rollouts:
+        def rolled_out(index: int, policy: Policy) -> Rollouts:
             return rollout(
                 policy,
                 task,
@@ -299,13 +299,15 @@ def score(
                 on_steps=lambda done, of: on_steps(index * of + done, len(policies) * of),
             )
 
-        outcomes = [outcome(index, policy) for index, policy in enumerate(policies)]
-        result = protocol | _summary(task, outcomes, first)
+        outcomes = [rolled_out(index, policy) for index, policy in enumerate(policies)]
+        result = protocol | summary(task, outcomes, first)
         if task.maze is not None:
-            in_maze = _in_maze(opened, data, task, task.maze, outcomes)
-            for scores, (endings, shares) in zip(result["per_seed"], in_maze, strict=True):
-                scores["episodes"]["ending"] = endings
-                scores |= shares
+            guided = find_method(spec.method).pursued is not None
+            logged = _logged_places(opened, data) if guided else None
+            for scores, outcome in zip(result["per_seed"], outcomes, strict=True):
+                scores["episodes"]["ending"] = [ending(trace, task, task.maze) for trace in outcome.traces]
+                if guided:
+                    scores |= subgoal_shares(outcome.traces, task.maze, logged, spec.config.problem.reach_radius)
     return result
 
 
@@ -373,66 +375,15 @@ def _same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
     return episodes
 
 
-def _in_maze(
-    run: Run, data: str | Path | Episodes | None, task: Task, maze: Maze, outcomes: list[Rollouts]
-) -> list[tuple[Sequence[Ending], dict[str, Any]]]:
-    """Of each seed: how every episode ended, and, of a method with subgoals, the share of those it chose that lie in
-    walls and off the run's data (None where that is not where it was, and nobody says where it is)."""
-    endings: list[Sequence[Ending]] = [[ending(t, task, maze) for t in outcome.traces] for outcome in outcomes]
-    if find_method(run.spec.method).pursued is None:
-        return [(of_seed, {}) for of_seed in endings]
+def _logged_places(run: Run, data: str | Path | Episodes | None) -> np.ndarray | None:
+    """s^G of the run's data, or None, with a warning, where that is not where it was and nobody says where it is."""
     try:
-        logged = _same_data(run, data).achieved
+        return _same_data(run, data).achieved
     except GuiderError as error:
         if data is not None:
             raise
         warnings.warn(GuiderWarning(f"how many subgoals lie off the data is not told: {error}"), stacklevel=2)
-        logged = None
-    shares: list[dict[str, Any]] = []
-    for subgoals in (proposed(outcome.traces) for outcome in outcomes):
-        off = None if logged is None else share_off_data(subgoals, logged, run.spec.config.problem.reach_radius)
-        shares.append({"subgoals_in_walls": share_in_walls(subgoals, maze), "subgoals_off_data": off})
-    return list(zip(endings, shares, strict=True))
-
-
-def _summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, Any]:
-    """The task's score, per seed and over seeds."""
-    scores = np.stack([outcome.score for outcome in outcomes])
-    means, count = scores.mean(axis=1), scores.shape[1]
-
-    def interval(of_seeds: np.ndarray) -> list[float]:
-        bounds = success_interval(of_seeds > 0) if task.score == "success" else bootstrap_interval(of_seeds)
-        return [round(bound, 1) for bound in bounds]
-
-    per_seed = [
-        {
-            "score": float(outcome.score.mean()),
-            "interval_95": interval(outcome.score[None]),
-            "goal_met_percent": float(100 * outcome.success.mean()),
-            "median_steps_when_met": float(np.median(outcome.steps[outcome.success]))
-            if outcome.success.any()
-            else None,
-            "episodes": {
-                "score": outcome.score.tolist(),
-                "met": outcome.success.tolist(),
-                "steps": outcome.steps.tolist(),
-            },
-        }
-        for outcome in outcomes
-    ]
-    return {
-        "environment": task.environment,
-        "horizon_steps": task.horizon_steps,
-        "radius": task.radius,
-        "episodes_per_seed": count,
-        "episode_seeds": [first_seed, first_seed + scores.size - 1],
-        "unit": SCORE_UNITS[task.score],
-        "score": float(means.mean()),
-        "score_std_over_seeds": float(means.std()),  # of these seeds, ddof 0
-        "interval_95": interval(scores),
-        "per_seed": per_seed,
-        "paper_score": task.paper_score,
-    }
+        return None
 
 
 def _with_evaluation(

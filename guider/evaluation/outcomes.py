@@ -44,3 +44,12 @@ def share_off_data(subgoals: np.ndarray, logged: np.ndarray, radius: float) -> f
 def share_in_walls(subgoals: np.ndarray, maze: Maze) -> float:
     """Share of subgoals [P, 2] in metres that lie inside a wall."""
     return float(maze.walls[tuple(maze.cell_of(subgoals).T)].mean())
+
+
+def subgoal_shares(
+    traces: Sequence[Trace], maze: Maze, logged: np.ndarray | None, radius: float
+) -> dict[str, float | None]:
+    """Of the subgoals chosen, the shares in walls and off the data. logged: [N, G], or None where nobody knows."""
+    subgoals = proposed(traces)
+    off = None if logged is None else share_off_data(subgoals, logged, radius)
+    return {"subgoals_in_walls": share_in_walls(subgoals, maze), "subgoals_off_data": off}
