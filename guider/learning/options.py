@@ -14,9 +14,9 @@ class LearningOptions(TypedDict, total=False):
     """What is learned, how, and from what: `train` and `data inspect` take them alike."""
 
     method: str
-    """What to train: guider (if nothing is said); guider-gcsl, guider-wgcsl or guider-cql (with another low level);
-    hiql, hiql-places, opal; or, without subgoals, bc, gcsl, wgcsl, cql-her, iql. Or one of your own, from a file that
-    the environment variable GUIDER_METHODS names."""
+    """What to train: guider (if nothing is said); guider-routes (subgoals by a graph over logged places); guider-gcsl,
+    guider-wgcsl or guider-cql (with another low level); hiql, hiql-places, opal; or, without subgoals, bc, gcsl, wgcsl,
+    cql-her, iql. Or one of your own, from a file that the environment variable GUIDER_METHODS names."""
     preset: Preset
     """`fast` (if nothing is said) fits two cores; `paper` is the paper's equations and the authors' settings."""
     goal_indices: Sequence[int]

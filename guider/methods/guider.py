@@ -50,6 +50,8 @@ from guider.support.config import (
     under,
 )
 
+Planner = Literal["policy", "routes"]
+
 
 @dataclass(frozen=True)
 class GoalPolicyConfig:
@@ -90,7 +92,7 @@ class GuiderConfig:
     view: ViewConfig = field(default_factory=ViewConfig)
     precision: Precision = "float32"
     action_scale: float = 1.0
-    planner: Literal["policy", "routes"] = "policy"
+    planner: Planner = "policy"
     """Who chooses subgoals: pi_h (Eq. 4), or the graph over logged places in its stead (departure, see routes.py)."""
     replan: Literal["period", "reached"] = "period"
     """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
@@ -390,7 +392,7 @@ _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
     # How to round corners without falling is what takes long to learn.
     "antmaze": _IN_METRES | {"low.updates": 100_000},
-    "pointmaze": _IN_METRES | {"planner": "routes"},
+    "pointmaze": _IN_METRES,
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'. An object moves within
     # c steps only once the hand is there: with the slack, where it shall go is a subgoal on the way there too. Sized
     # for the tasks' 40,000 episodes: a tenth of them is learned by heart, and wants 8,000 updates.
@@ -413,13 +415,18 @@ FAST_IN_DOMAIN: ByDomain = {
 
 
 def guider_config(
-    preset: Preset, problem: Problem, low: LearnerConfig | None = None, low_updates: float = 1.0
+    preset: Preset,
+    problem: Problem,
+    low: LearnerConfig | None = None,
+    low_updates: float = 1.0,
+    planner: Planner = "policy",
 ) -> GuiderConfig:
     """Settings for a problem, with another learner for the low level where one is given (Figure 4), which `fast` trains
     for `low_updates` times as many updates: dear ones take no longer than Guider's own."""
     goal_learner = low or AwrConfig()
     latent = LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", 2))
-    paper = GuiderConfig(problem=problem, latent=latent, low=GoalPolicyConfig(learner=goal_learner))
+    level = GoalPolicyConfig(learner=goal_learner)
+    paper = GuiderConfig(problem=problem, planner=planner, latent=latent, low=level)
     if preset == "paper":
         return paper
     paper = replace(paper, low=replace(paper.low, learner=fast_learner(goal_learner, problem.domain)))
@@ -427,13 +434,14 @@ def guider_config(
     return replace(config, low=replace(config.low, updates=round(config.low.updates * low_updates)))
 
 
-def _method(label: str, **low: Any) -> Method:
-    config = partial(guider_config, **low)
+def _method(label: str, **departures: Any) -> Method:
+    config = partial(guider_config, **departures)
     return Method(label, GuiderConfig, config, init, stages, initial_acting_state, act, acts_by, pursued)
 
 
 METHODS = {
     "guider": _method("Guider"),
+    "guider-routes": _method("Guider + routes", planner="routes"),
     "guider-gcsl": _method("Guider + GCSL", low=GcslConfig()),
     "guider-wgcsl": _method("Guider + WGCSL", low=WgcslConfig()),
     "guider-cql": _method("Guider + CQL", low=CqlConfig(), low_updates=0.3),
