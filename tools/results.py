@@ -125,12 +125,19 @@ def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
     return f"{table}\n\n{facts}\n\n```\n" + "\n".join(last["commands"]) + "\n```"
 
 
+TABLES = {
+    "antmaze": ("guider-fast", "`guider collect`", ()),
+    "headline": ("guider-fast", "`guider collect`", SHORT),
+    "antmaze-routes": ("guider-routes-fast", "`guider collect`", ()),
+    "antmaze-d4rl-policy": ("d4rl-policy-guider-fast", "D4RL's own ant policy", ()),
+}
+"""name -> (the runs' variant, what their data is, columns or () for all)."""
+
+
 def tables(store: Path = STORE) -> dict[str, str]:
-    """Every table by name."""
-    ours = antmaze(store, "guider-fast", "`guider collect`")
-    made = {"antmaze": markdown(ours), "headline": markdown(ours, SHORT)} if ours else {}
-    theirs = antmaze(store, "d4rl-policy-guider-fast", "D4RL's own ant policy")
-    return made | ({"antmaze-d4rl-policy": markdown(theirs)} if theirs else {})
+    """Every table that there are results for, by name."""
+    made = {name: (antmaze(store, variant, data), columns) for name, (variant, data, columns) in TABLES.items()}
+    return {name: markdown(rows, columns) for name, (rows, columns) in made.items() if rows}
 
 
 def filled(document: str, made: dict[str, str]) -> str:
