@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 
 import jax
@@ -10,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import make_ragged, tiny
-from test_training import equal, train_guider
+from test_training import train_guider
 
-import guider
 from guider import runs
 from guider.data.episodes import make_episodes
 from guider.errors import GuiderError
@@ -354,37 +352,27 @@ def test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units():
     assert loss(in_units, 100.0) > 100 * loss(in_units, 1.0)
 
 
-def test_routes_choose_in_the_policys_stead(tmp_path):
+def test_routes_choose_in_the_policys_stead():
     """There and back along ten metres, eight times: a subgoal is a logged place within 0.7 of c = 5 steps, and value
-    is minus the steps that are left. A run with routes trains no pi_h, and goes on from after them to the bit."""
+    is minus the steps that are left. No pi_h is trained."""
     ahead = np.stack([np.arange(11.0), np.zeros(11)], axis=1)
     rows = np.concatenate([ahead, ahead[::-1]] * 8).astype(np.float32)
     logs = make_episodes(rows, np.zeros((len(rows), 1), np.float32), [11] * 16, (0, 1))
-    small = {"planner": "routes", "routes.places": 30, "latent.updates": 3, "low.updates": 4, "low.batch_size": 8}
-    small |= {"latent.hidden": (8,), "low.hidden": (8,)}
-
-    def cut(chunk, state):
-        if chunk.stage.name == "goal policy" and chunk.position.update == 2:
-            shutil.copytree(tmp_path / "run", tmp_path / "cut")
-
-    run = guider.train(
-        data=logs, radius=0.5, period_steps=5, settings=small, seeds=2, out=tmp_path / "run", held_out=0.2,
-        pace=runs.Pace(2, 0.0), on_chunk=cut,
-    )  # fmt: skip
-    assert [stage.name for stage in run.stages] == ["latent subgoals", "routes", "goal policy"]
-    assert equal(run.restore(), guider.resume(tmp_path / "cut", logs).restore())
-    policy = run.policies()[1]
+    small = {"routes.places": 30, "latent.hidden": (8,), "low.hidden": (8,)}
+    config = override(guider_config("fast", Problem(0.5, 1.0, 5), planner="routes"), small)
+    stages = method.stages(config)
+    assert [stage.name for stage in stages] == ["latent subgoals", "routes", "goal policy"]
+    data, scale = prepare(config.view, config.problem, logs)
+    state = method.init(config, logs.spaces, scale, jax.random.key(0))
+    routes, metrics = stages[1].update(state, data, jax.random.key(0))
+    assert metrics["places"] == 11 and metrics["reachable"] == 1
+    state = state._replace(high=routes)
     here, goal = jnp.array([[2.0, 0.0], [8.0, 0.0]]), jnp.array([[9.0, 0.0], [1.0, 0.0]])
-    subgoal, latent = method.propose_subgoal(policy.config, policy.state, here, goal)
+    subgoal, latent = method.propose_subgoal(config, state, here, goal)
     np.testing.assert_array_equal(subgoal, [[5, 0], [5, 0]])
     assert latent.shape == (2, 2)
-    np.testing.assert_array_equal(method.value(policy.config, policy.state, here, goal), [-7, -7])
-    agent = guider.load(run, seed=1)
-    agent.act(logs.observations[2], [9.0, 0.0])
-    np.testing.assert_array_equal(agent.subgoal, [5, 0])
-    assert method.acts_by(policy.config).startswith("logged place nearest to the goal")
-    scores = guider.evaluate(run, data=logs)["per_seed"][0]
-    assert scores["value_rank"] == 1 and scores["subgoal_distance"] == 0
+    np.testing.assert_array_equal(method.value(config, state, here, goal), [-7, -7])
+    assert method.acts_by(config).startswith("logged place nearest to the goal")
 
 
 def test_routes_serve_a_low_level_that_sees_latents():

@@ -161,6 +161,6 @@ def test_tasks_are_found_by_name_and_unknown_names_get_a_hint():
         find_task("pointmase-large")
     assert "\n" not in str(caught.value)
     with pytest.raises(
-        GuiderError, match=r"'zzzz'; there are pointmaze-umaze, .* more \(`guider tasks`.*MAZE\.txt and gym:ENV_ID"
+        GuiderError, match=r"'zzzz'; there are pointmaze-umaze, .* more; `guider tasks`.*MAZE\.txt and gym:ENV_ID"
     ):
         find_task("zzzz")
