@@ -256,6 +256,7 @@ _TABLE: dict[str, list[tuple[str, str, str]]] = {
         ("routes.edges[here] <= within", "routes.edges[:, here] <= within", "test_routes.py"),
         ("(left <= within_steps) & (away", "(left < 0) & (away", "test_routes.py"),
         (" & (away[there] <= away.min())", "", "test_routes.py"),
+        ("arrives |= jnp.isinf(routes.places[here]).any()", "arrives |= False", "test_routes.py"),
     ],
     "guider/evaluation/heldout.py": [
         ("rows + period_steps, last[rows]", "rows + 1, last[rows]", "test_heldout.py"),

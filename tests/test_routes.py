@@ -152,6 +152,8 @@ def test_more_logged_windows_than_one_make_an_edge_of_many_wanted():
     there = line((0, 0), (6, 0), 6)
     once, often = (graph(walks(*[there] * count), crossings=3, spacing=0.5) for count in (1, 3))
     assert not np.isfinite(np.asarray(once.places)).any()
+    subgoal, _ = next_place(once, jnp.array([[0.0, 0.0]]), jnp.array([[6.0, 0.0]]), 4.0, ())
+    np.testing.assert_array_equal(subgoal, [[6, 0]])
     assert np.isfinite(np.asarray(often.steps)).sum() == 21
 
 

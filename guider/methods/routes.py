@@ -30,7 +30,7 @@ class RoutesConfig:
     spacing: float = 0.5
     """Places are added until no logged one is further than this from the nearest, in reach radii."""
     crossings: int = 5
-    """An edge leads where so many logged windows did."""
+    """An edge leads where so many logged windows did; few logs want less."""
     horizon: float = 0.7
     """A subgoal lies along an edge of this share of c steps at most: a low level that learned from windows of up to c
     steps reaches what is nearer than that more surely, and without cutting corners."""
@@ -73,7 +73,7 @@ def build(config: RoutesConfig, data: Data, problem: Problem) -> tuple[Routes, M
         "places": known,
         "furthest_from_a_place": distance.max(),
         "edges": jnp.isfinite(edges).sum() - known,
-        "reachable": jnp.isfinite(steps).sum() / known**2,
+        "reachable": jnp.isfinite(steps).sum() / jnp.maximum(known, 1) ** 2,
     }
     return Routes(places, edges, steps), metrics
 
@@ -158,7 +158,8 @@ def next_place(
     """Where to go next, [B, G]: of the places that an edge of so many steps leads to, the one with the fewest steps to
     the goal; the goal itself where it is that near. And the steps to the goal, [B].
 
-    Where no way leads to the goal, it is to the place nearest to it that one leads to.
+    Where no way leads to the goal, it is to the place nearest to it that one leads to; where there is no place, the
+    goal itself.
     achieved, goal: [B, G].
     """
 
@@ -169,6 +170,7 @@ def next_place(
         place = jnp.where(routes.edges[here] <= within_steps, routes.steps[:, there], jnp.inf).argmin()
         left = routes.steps[here, there]
         arrives = (left <= within_steps) & (away[there] <= away.min())
+        arrives |= jnp.isinf(routes.places[here]).any()  # there are no places at all
         return jnp.where(arrives, goal, routes.places[place]), left
 
     return jax.vmap(from_one)(achieved, goal)

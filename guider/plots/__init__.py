@@ -82,7 +82,7 @@ def draw_run(
     if not guided:
         return saved
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
-    if policy.config.planner == "routes":
+    if policy.config.planner == "routes" and np.isfinite(policy.state.high.places).any():
         ends = np.stack([traces[0].achieved[0], traces[0].goal])
         found = routes_in_maze(task, maze, logged, policy.config, policy.state.high, ends, title)
         save(f"routes-seed{seed}", found)
