@@ -371,7 +371,7 @@ def test_routes_choose_in_the_policys_stead():
     subgoal, latent = method.propose_subgoal(config, state, here, goal)
     np.testing.assert_array_equal(subgoal, [[5, 0], [5, 0]])
     assert latent.shape == (2, 2)
-    np.testing.assert_array_equal(method.value(config, state, here, goal), [-7, -7])
+    np.testing.assert_array_equal(method.value(config, state, here, goal, latent), [-7, -7])
     assert method.acts_by(config).startswith("logged place nearest to the goal")
 
 

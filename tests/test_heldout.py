@@ -58,7 +58,7 @@ def guided(monkeypatch) -> Any:
         "encode": lambda config, params, scale, achieved, later: Gaussian(later - achieved, jnp.zeros_like(later)),
         "prior": lambda params, scale, achieved: Gaussian(jnp.zeros_like(achieved), jnp.full_like(achieved, np.log(2))),
         "propose_subgoal": lambda config, state, achieved, goal: (goal + 0.25, None),
-        "value": lambda config, state, achieved, goal: jnp.abs(goal - achieved)[:, 0],
+        "value": lambda config, state, achieved, goal, latent: jnp.abs(goal - achieved)[:, 0],
         "_low_level_actions": lambda policy, seen: np.zeros((len(seen.achieved), 1)),
     }
     for name, stand_in in moves.items():

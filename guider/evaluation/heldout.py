@@ -105,14 +105,14 @@ def _scores_of_parts(
     def coverage(z):
         return float(jnp.mean(jnp.abs(z - reachable.mean) <= INSIDE_95 * jnp.exp(reachable.log_std)))
 
-    subgoal, _ = propose_subgoal(config, state, achieved, seen.final)
+    subgoal, proposed = propose_subgoal(config, state, achieved, seen.final)
     travel = np.linalg.norm(outcome - achieved, axis=1)
     proposed_travel = np.linalg.norm(subgoal - achieved, axis=1)
     probes = rng.choice(count, min(1000, count), replace=False)
     logged = np.asarray(achieved)
     nearest = [np.linalg.norm(logged - point, axis=1).min() for point in np.asarray(subgoal)[probes]]
 
-    worth = np.asarray(value(config, state, achieved, seen.final))
+    worth = np.asarray(value(config, state, achieved, seen.final, proposed))
     return {
         "prior_coverage": coverage(latent),
         "prior_coverage_shuffled": coverage(elsewhere),

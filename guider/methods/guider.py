@@ -314,12 +314,13 @@ def propose_subgoal(
     return subgoal, latent
 
 
-def value(config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-    """[B] of being at `achieved` with this goal, by what chooses subgoals: the critic's of what pi_h proposes, or minus
-    the steps that the routes count. achieved, goal: [B, G]."""
+def value(
+    config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array, latent: jax.Array
+) -> jax.Array:
+    """[B] of being at `achieved` with this goal, by what chooses subgoals: the critic's of the latent [B, Z] that it
+    proposed (see `propose_subgoal`), or minus the steps that the routes count. achieved, goal: [B, G]."""
     if config.planner == "routes":
         return -routes.next_place(state.high, achieved, goal, 0.0, config.problem.goal_parts)[1]
-    _, latent = propose_subgoal(config, state, achieved, goal)
     inputs = high_inputs(state.scale, achieved, goal)
     return twin_values(state.high.params.critic, inputs, latent).min(axis=0)
 

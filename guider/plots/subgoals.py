@@ -26,8 +26,8 @@ def proposals(policy: Policy, achieved: np.ndarray, goal: np.ndarray) -> tuple[n
 
 @jax.jit
 def _proposals(policy: Policy, achieved: jax.Array, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
-    subgoal, _ = guider.propose_subgoal(policy.config, policy.state, achieved, goal)
-    return subgoal, guider.value(policy.config, policy.state, achieved, goal)
+    subgoal, latent = guider.propose_subgoal(policy.config, policy.state, achieved, goal)
+    return subgoal, guider.value(policy.config, policy.state, achieved, goal, latent)
 
 
 def prior_samples(policy: Policy, achieved: np.ndarray, count: int) -> np.ndarray:
