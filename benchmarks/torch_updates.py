@@ -24,7 +24,8 @@ from torch import Tensor, nn
 from guider.learners import AwrConfig
 from guider.learning.networks import LOG_STD_RANGE
 from guider.learning.windows import Data
-from guider.methods.guider import GoalPolicyConfig, GuiderConfig
+from guider.methods.goal_policy import GoalPolicyConfig
+from guider.methods.guider import GuiderConfig
 
 LAGRANGE_RANGE = (0.0, 1e6)
 

@@ -102,4 +102,5 @@ def preset(name: Preset, problem: Problem) -> LinearConfig:
     return paper if name == "paper" else fast(paper, {"updates": 1_000}, {})
 
 
+# Subgoals in goal space, where it has any, are scored and drawn too (`subgoals=Subgoals(...)`, guider.methods.method).
 METHODS = {"linear": Method("Linear", LinearConfig, preset, init, stages, initial_acting_state, act, acts_by)}

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from guider.api import evaluate, inspect, load, resume, train
+    from guider.api import evaluate, export, inspect, load, resume, train
     from guider.data import load as load_data
     from guider.data.episodes import Episodes, make_episodes
     from guider.errors import GuiderError, GuiderWarning
@@ -21,6 +21,7 @@ __all__ = [
     "Policy",
     "act",
     "evaluate",
+    "export",
     "initial_state",
     "inspect",
     "load",
@@ -31,7 +32,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(("evaluate", "inspect", "load", "resume", "train"), "api"),
+    **dict.fromkeys(("evaluate", "export", "inspect", "load", "resume", "train"), "api"),
     **dict.fromkeys(("Episodes", "make_episodes"), "data.episodes"),
     **dict.fromkeys(("GuiderError", "GuiderWarning"), "errors"),
     **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "methods.policy"),

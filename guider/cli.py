@@ -6,15 +6,14 @@ Exit status: 0 done; 1 bad input or a place that cannot be read or written; 2 wr
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
 import tyro
 
@@ -105,7 +104,6 @@ def _showing_warnings() -> Iterator[None]:
 
 
 _OPTION = re.compile(r"--[a-z]")
-_SEVERAL = re.compile(r"^(ForwardRef\(')?(tuple|Sequence)\[")
 
 
 def _gathered(arguments: list[str]) -> list[str]:
@@ -114,8 +112,8 @@ def _gathered(arguments: list[str]) -> list[str]:
     command = COMMANDS.get(arguments[0]) if arguments else None
     if command is None:
         return arguments
-    annotations = inspect.get_annotations(command) | LearningOptions.__annotations__
-    several = {f"--{name.replace('_', '-')}" for name, kind in annotations.items() if _SEVERAL.search(str(kind))}
+    kinds = get_type_hints(command) | get_type_hints(LearningOptions)
+    several = {f"--{name.replace('_', '-')}" for name, kind in kinds.items() if get_origin(kind) in (tuple, Sequence)}
     gathered: list[list[str]] = [[]]  # positional arguments, then each option with its values
     for argument in arguments:
         if not _OPTION.match(argument):

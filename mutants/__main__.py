@@ -19,7 +19,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 
-from mutants.table import MUTATIONS, Mutation
+from mutants.mutation import Mutation
+from mutants.table import MUTATIONS
 
 ROOT = Path(__file__).parent.parent
 LIMIT_SECONDS = 300

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import io
+import tracemalloc
+import warnings
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
+
+from guider.data import load
+from guider.errors import GuiderError
 
 GOAL = (0, 1)
 
@@ -54,3 +63,86 @@ def write_hdf5(path: Path, arrays: dict[str, np.ndarray]) -> Path:
 def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> Path:
     np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
     return path
+
+
+LENGTHS = [20, 30]
+ARRAYS = walk(LENGTHS) | {"lengths": np.array(LENGTHS)}
+
+
+def refusal(source: Path | str, **options) -> str:
+    """The one line that says why the source is not read."""
+    with pytest.raises(GuiderError) as raised:
+        load(source, GOAL, **options)
+    message = str(raised.value)
+    assert len(message.splitlines()) == 1 and len(message) < 600 + len(str(source))
+    return message
+
+
+def refusal_in_little_memory(source: Path) -> str:
+    tracemalloc.start()
+    try:
+        message = refusal(source)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+    return message
+
+
+def hdf5(folder: Path, make: Callable[[h5py.File], object], without: str = "", **options) -> Path:
+    """A whole recording, one array left out, and what `make` adds."""
+    path = folder / "logs.hdf5"
+    with h5py.File(path, "w", **options) as file:
+        for key, array in ARRAYS.items():
+            if key != without:
+                file[key] = array
+        make(file)
+    return path
+
+
+@pytest.fixture
+def secret(tmp_path) -> Path:
+    return write_hdf5(tmp_path / "secret.hdf5", {"observations": np.zeros((50, 5), np.float32)})
+
+
+def npy(array: np.ndarray) -> bytes:
+    content = io.BytesIO()
+    np.save(content, array)
+    return content.getvalue()
+
+
+def archive(folder: Path, *members: tuple[str, bytes]) -> Path:
+    path = folder / "logs.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of members that are there twice
+        for name, content in members:
+            file.writestr(name, content)
+    return path
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """Some bits flipped, the end cut off, some bytes cut out, zeroed or made up; half of it in the first 2 kB."""
+    copy = bytearray(content)
+    at = int(rng.integers(min(len(copy), rng.choice([2000, len(copy)]))))
+    size = int(rng.integers(1, 200))
+    match rng.integers(5):
+        case 0:
+            copy[at] ^= 1 << int(rng.integers(8))
+        case 1:
+            del copy[at:]
+        case 2:
+            del copy[at : at + size]
+        case 3:
+            copy[at : at + size] = bytes(len(copy[at : at + size]))
+        case _:
+            copy[at : at + 4] = rng.bytes(len(copy[at : at + 4]))
+    return bytes(copy)
+
+
+def check_data_or_a_line(source: Path) -> bool:
+    """Whether the source is refused; anything but data or a line is an error."""
+    try:
+        load(source, GOAL)
+    except GuiderError as error:
+        assert len(str(error).splitlines()) == 1
+        return True
+    return False

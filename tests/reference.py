@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 STEP = 1e-6
@@ -146,3 +147,20 @@ def check_trails(target: Any, params: Any, after: Any, rate: float) -> None:
         params,
         after,
     )
+
+
+RATE = 1e-2
+
+
+def normal(seed: int, *shape: int) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape))
+
+
+def shaken(tree: Any, seed: int = 9, spread: float = 0.3) -> Any:
+    """The same with `spread` N(0, 1) added everywhere."""
+    rng = np.random.default_rng(seed)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf + spread * rng.normal(size=leaf.shape)), tree)
+
+
+def plain(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: np.array(leaf), tree)

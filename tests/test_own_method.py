@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_ragged
-from test_training import equal
+from conftest import equal, make_ragged
 
 import guider
 from guider import runs

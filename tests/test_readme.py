@@ -17,7 +17,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys):
     (snippet,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     assert len(snippet.strip().splitlines()) < 15
-    monkeypatch.setattr("guider.api.preset_config", lambda *arguments: tiny(preset_config(*arguments)))
+    monkeypatch.setattr("guider.runs.asked.preset_config", lambda *arguments: tiny(preset_config(*arguments)))
     monkeypatch.chdir(tmp_path)
     logs = make_ragged([20] * 20)
     np.savez("logs.npz", observations=logs.observations, actions=logs.actions, lengths=logs.lengths)
@@ -29,7 +29,7 @@ def test_the_snippet_for_own_data_runs_as_printed(tmp_path, monkeypatch, capsys)
 
 def test_the_commands_it_names_exist():
     named = set(re.findall(r"^guider (\w+)", README, flags=re.MULTILINE)) | set(re.findall(r"`guider (\w+)", README))
-    assert named == {"tasks", "data", "collect", "train", "evaluate", "plot", "reproduce"}
+    assert named == {"tasks", "data", "collect", "train", "evaluate", "plot", "export", "reproduce"}
     assert named <= set(COMMANDS)
 
 
@@ -49,4 +49,4 @@ def test_the_tests_that_equations_name_exist():
     file = ""
     for named, function in names:
         file = named or file
-        assert f"def {function}(" in (tests / f"{file}.py").read_text(), f"{file}.{function}"
+        assert f"def {function}(" in next(tests.rglob(f"{file}.py")).read_text(), f"{file}.{function}"

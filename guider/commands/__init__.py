@@ -7,6 +7,7 @@ from collections.abc import Callable
 from guider.commands.collect import collect
 from guider.commands.data import data
 from guider.commands.evaluate import evaluate
+from guider.commands.export import export
 from guider.commands.plot import plot
 from guider.commands.reproduce import reproduce
 from guider.commands.tasks import tasks
@@ -16,6 +17,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "evaluate": evaluate,
     "plot": plot,
+    "export": export,
     "tasks": tasks,
     "data": data,
     "collect": collect,

@@ -28,12 +28,12 @@ def evaluate(
         data: Own data and mazes: where the run's data is now, if it has moved.
         as_json: Print one JSON document instead of text.
     """
-    from guider import api
+    from guider.evaluation.score import keep_score, score
 
     with bar("evaluating", "steps") as show:
-        result = api.score(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
+        result = score(run, episodes=episodes, first_seed=first_seed, data=data, on_steps=show)
     answer(result, _evaluation_table(result), as_json)
-    api.keep_score(run, result)  # after it was shown: the place may be read-only
+    keep_score(run, result)  # after it was shown: the place may be read-only
 
 
 def _evaluation_table(result: dict[str, Any]) -> Table:

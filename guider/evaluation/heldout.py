@@ -10,15 +10,12 @@ import numpy as np
 
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError
-from guider.learners import learner
 from guider.methods import find_method
-from guider.methods.guider import GuiderConfig, low_inputs, propose_subgoal, value
-from guider.methods.latent_subgoals import encode, prior
+from guider.methods.method import Subgoals
 from guider.methods.policy import Policy, initial_state
 from guider.methods.view import learned_windows
 
 MAX_ROWS = 20_000
-INSIDE_95 = 1.959964
 
 
 def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | None]:
@@ -26,15 +23,16 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
 
     action_error:         mean squared error of the action, bounds scaled to [-1, 1], when asked for the state c steps
                           on; `action_spread` is that of always answering with the mean action
-    and, of the parts of a Guider policy,
-    prior_coverage:       share of latent entries of true c-step outcomes within the prior's central 95 %
-                          (0.95 if it fits; less: it has not seen such moves); `prior_coverage_shuffled` is the
-                          same for outcomes taken from other places: it should be lower
+    and, of a method that learns what c steps lead to (see Subgoals.fit),
+    prior_coverage:       share of true c-step outcomes that it holds for likely (0.95 if it fits; less: it has not seen
+                          such moves); `prior_coverage_shuffled` is the same for outcomes taken from other places: it
+                          should be lower
+    and of one that names places to go to,
     subgoal_distance:     median distance (goal units) from subgoals proposed towards the episode's last state to the
                           nearest goal-space state that starts one of these windows
     subgoals_in_range:    share of proposed subgoals no further away than 99 % of true c-step outcomes
-    value_rank:           mean over episodes of Spearman's correlation between time and the high level's value
-                          (or minus the steps by the routes) of the episode's last state as goal: 1 where it rises
+    value_rank:           mean over episodes of Spearman's correlation between time and what being there is worth (see
+                          Subgoals.propose) with the episode's last state as goal: 1 where it rises
     """
     config = policy.config
     period_steps = config.problem.period_steps
@@ -54,13 +52,13 @@ def held_out_scores(policy: Policy, episodes: Episodes) -> dict[str, float | Non
     )
     half_range = (episodes.action_high - episodes.action_low) / 2
     actions = (episodes.actions[rows] - (episodes.action_high + episodes.action_low) / 2) / half_range
-    guided = isinstance(config, GuiderConfig)
-    answers = _low_level_actions(policy, seen) if guided else _actions(policy, seen)
+    subgoals = find_method(policy.method).subgoals
+    answers = _actions(policy, seen) if subgoals is None else _low_level_actions(policy, subgoals, seen)
     scores: dict[str, float | None] = {
         "action_error": float(np.mean((answers - actions) ** 2)),
         "action_spread": float(np.mean(actions.var(axis=0))),
     }
-    return scores | _scores_of_parts(policy, seen, last[rows], rng) if guided else scores
+    return scores if subgoals is None else scores | _scores_of_subgoals(policy, subgoals, seen, last[rows], rng)
 
 
 class _Seen(NamedTuple):
@@ -81,44 +79,34 @@ def _actions(policy: Policy, seen: _Seen) -> np.ndarray:
     return np.asarray(answers)
 
 
-def _low_level_actions(policy: Policy, seen: _Seen) -> np.ndarray:
+def _low_level_actions(policy: Policy, subgoals: Subgoals, seen: _Seen) -> np.ndarray:
     """[W, A] in [-1, 1], with the state c steps on as the subgoal."""
-    config, state = policy.config, policy.state
-    subgoal = seen.outcome
-    if config.low.subgoal_input == "latent":
-        subgoal = encode(config.latent, state.latent.params, state.scale, seen.achieved, seen.outcome).mean
-    inputs = low_inputs(config, state, seen.observation, seen.achieved, subgoal, seen.final)
-    return np.asarray(learner(config.low.learner).act(config.low.learner, state.low, inputs))
+    return np.asarray(
+        subgoals.reach(policy.config, policy.state, seen.observation, seen.achieved, seen.outcome, seen.final)
+    )
 
 
-def _scores_of_parts(
-    policy: Policy, seen: _Seen, episode: np.ndarray, rng: np.random.Generator
+def _scores_of_subgoals(
+    policy: Policy, subgoals: Subgoals, seen: _Seen, episode: np.ndarray, rng: np.random.Generator
 ) -> dict[str, float | None]:
     """episode: [W] equal for windows of one episode."""
     config, state = policy.config, policy.state
     count, achieved, outcome = len(seen.achieved), seen.achieved, seen.outcome
-    latent = encode(config.latent, state.latent.params, state.scale, achieved, outcome).mean
-    reachable = prior(state.latent.params, state.scale, achieved)
-    shuffled = rng.permutation(count)
-    elsewhere = encode(config.latent, state.latent.params, state.scale, achieved, outcome[shuffled]).mean
+    shuffled, scores = rng.permutation(count), {}
+    if subgoals.fit is not None:
+        scores["prior_coverage"] = float(subgoals.fit(config, state, achieved, outcome))
+        scores["prior_coverage_shuffled"] = float(subgoals.fit(config, state, achieved, outcome[shuffled]))
 
-    def coverage(z):
-        return float(jnp.mean(jnp.abs(z - reachable.mean) <= INSIDE_95 * jnp.exp(reachable.log_std)))
-
-    subgoal, proposed = propose_subgoal(config, state, achieved, seen.final)
+    subgoal, worth = subgoals.propose(config, state, seen.observation, achieved, seen.final)
     travel = np.linalg.norm(outcome - achieved, axis=1)
     proposed_travel = np.linalg.norm(subgoal - achieved, axis=1)
     probes = rng.choice(count, min(1000, count), replace=False)
     logged = np.asarray(achieved)
     nearest = [np.linalg.norm(logged - point, axis=1).min() for point in np.asarray(subgoal)[probes]]
-
-    worth = np.asarray(value(config, state, achieved, seen.final, proposed))
-    return {
-        "prior_coverage": coverage(latent),
-        "prior_coverage_shuffled": coverage(elsewhere),
+    return scores | {
         "subgoal_distance": float(np.median(nearest)),
         "subgoals_in_range": float(np.mean(proposed_travel <= np.quantile(travel, 0.99))),
-        "value_rank": _mean_rank_correlation(worth, episode),
+        "value_rank": _mean_rank_correlation(np.asarray(worth), episode),
     }
 
 

@@ -120,8 +120,8 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
 
 def _pursued(policy, acting, goal, begins):
     """(subgoals, whether each is new), both [count, ...]; without subgoals, the goal from the first step on."""
-    pursued = find_method(policy.method).pursued
-    return pursued(policy.config, acting) if pursued else (goal, begins)
+    subgoals = find_method(policy.method).subgoals
+    return subgoals.pursued(policy.config, acting) if subgoals else (goal, begins)
 
 
 def _traces(history, success, steps, goal, last_states) -> tuple[Trace, ...]:

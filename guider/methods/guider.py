@@ -25,63 +25,30 @@ from guider.learners import (
     learner,
 )
 from guider.learning import losses
-from guider.learning.networks import Precision, twin_values
+from guider.learning.networks import Precision
 from guider.learning.optimisers import cosine_rate
 from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.learning.samplers import HighBatch, LowBatch, sample_high, sample_low, sample_windows
 from guider.learning.training import Stage
 from guider.learning.windows import Data
-from guider.methods import latent_subgoals, routes, subgoal_policy
+from guider.methods import goal_policy, latent_subgoals, routes, subgoal_policy
+from guider.methods.goal_policy import GoalPolicyConfig
 from guider.methods.latent_subgoals import LatentState, LatentSubgoalsConfig
-from guider.methods.method import Method
+from guider.methods.method import Method, Subgoals
 from guider.methods.presets import MANIPULATION, fast
 from guider.methods.routes import RoutesConfig
-from guider.methods.subgoal_policy import STEADY_CRITIC, SubgoalPolicyConfig
+from guider.methods.subgoal_policy import SubgoalPolicyConfig
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import (
     ByDomain,
     Changes,
     check_fraction,
-    check_networks,
-    check_not_negative,
     check_positive,
-    check_shares,
     under,
 )
 
 Planner = Literal["policy", "routes"]
-
-
-@dataclass(frozen=True)
-class GoalPolicyConfig:
-    """Settings of the low level. Defaults are the authors' (preset `paper`)."""
-
-    updates: int = 500_000
-    batch_size: int = 512
-    learning_rate: float = 1e-4
-    decay: bool = False
-    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
-    hidden: tuple[int, ...] = (256, 256, 256)
-    subgoal_slack_steps: int = 0
-    """Subgoals come from (t, t + c + slack]: 0 is Algorithm 1, 1 Section 4.4, 5 the authors' code."""
-    relabel_fraction: float = 0.8
-    """Share of final goals relabelled with a future state; the rest are recorded goals, where data has them."""
-    random_goal_fraction: float = 0.0
-    """Share of final goals drawn from any trajectory (departure)."""
-    subgoal_input: Literal["goal", "latent"] = "goal"
-    """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_k, s^G_j), encoded where acting would have chosen
-    it, up to c - 1 steps ago (Figure 5, without decoder)."""
-    relative: bool = False
-    """Show goals as displacements from s^G_t instead of positions (departure)."""
-    learner: LearnerConfig = field(default_factory=AwrConfig)
-    """How the policy is learned: Eq. 5-6 (awr), or as another method would (Figure 4)."""
-
-    def __post_init__(self) -> None:
-        check_networks(self)
-        check_not_negative(self, "subgoal_slack_steps")
-        check_fraction(self, "relabel_fraction", "random_goal_fraction")
-        check_shares(self)
 
 
 @dataclass(frozen=True)
@@ -139,33 +106,6 @@ def init(config: GuiderConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> 
     )
 
 
-def high_inputs(scale: Scale, achieved: jax.Array, goal: jax.Array) -> jax.Array:
-    """What the high level sees: scaled (s^G, g_final), [..., inputs]."""
-    return jnp.concatenate([scale.position(achieved), scale.position(goal)], axis=-1)
-
-
-def low_inputs(
-    config: GuiderConfig,
-    state: GuiderState,
-    observation: jax.Array,
-    achieved: jax.Array,
-    subgoal: jax.Array,
-    goal: jax.Array,
-) -> jax.Array:
-    """What the low level sees: scaled (s, g_sub, g_final), [..., inputs].
-
-    With `relative`, goals are displacements from s^G. Without decoder, g_sub is a latent already.
-    """
-    scale = state.scale
-    if config.low.relative:
-        seen_goal = (goal - achieved) / scale.goal_std
-        seen_subgoal = (subgoal - achieved) / scale.step_std if config.low.subgoal_input == "goal" else subgoal
-    else:
-        seen_goal = scale.goal(goal)
-        seen_subgoal = scale.goal(subgoal) if config.low.subgoal_input == "goal" else subgoal
-    return jnp.concatenate([scale.state(observation), scale.waves(achieved), seen_subgoal, seen_goal], axis=-1)
-
-
 def relabel_high(
     config: GuiderConfig, state: GuiderState, batch: HighBatch, key: jax.Array
 ) -> subgoal_policy.Transitions:
@@ -173,29 +113,22 @@ def relabel_high(
     params = state.latent.params
     posterior = latent_subgoals.encode(config.latent, params, state.scale, batch.achieved, batch.later)
     return subgoal_policy.Transitions(
-        state=high_inputs(state.scale, batch.achieved, batch.goal),
+        state=subgoal_policy.inputs(state.scale, batch.achieved, batch.goal),
         latent=posterior.sample(key),
         reward=losses.goal_reward(batch.later, batch.goal, config.problem.radius, config.problem.goal_parts),
-        next_state=high_inputs(state.scale, batch.later, batch.goal),
+        next_state=subgoal_policy.inputs(state.scale, batch.later, batch.goal),
         prior=latent_subgoals.prior(params, state.scale, batch.achieved),
         next_prior=latent_subgoals.prior(params, state.scale, batch.later),
     )
 
 
 def relabel_low(config: GuiderConfig, state: GuiderState, batch: LowBatch, key: jax.Array) -> Transitions:
-    """Algorithm 1, line 16. The reward is for meeting the subgoal (Eq. 1), in goal space always. Without decoder, z is
-    encoded where the subgoal was chosen, as it is when acting."""
+    """Algorithm 1, line 16. Without decoder, z is encoded where the subgoal was chosen, as it is when acting."""
     subgoal = batch.subgoal
     if config.low.subgoal_input == "latent":
         params = state.latent.params
         subgoal = latent_subgoals.encode(config.latent, params, state.scale, batch.chosen_at, batch.subgoal).sample(key)
-    return Transitions(
-        state=low_inputs(config, state, batch.observation, batch.achieved, subgoal, batch.goal),
-        action=batch.action,
-        reward=losses.goal_reward(batch.next_achieved, batch.subgoal, config.problem.radius, config.problem.goal_parts),
-        next_state=low_inputs(config, state, batch.next_observation, batch.next_achieved, subgoal, batch.goal),
-        steps=batch.subgoal_steps,
-    )
+    return goal_policy.relabel(config.low, config.problem, state.scale, batch, subgoal)
 
 
 def stages(config: GuiderConfig) -> tuple[Stage, ...]:
@@ -282,14 +215,13 @@ def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Arra
 
     achieved, goal: [B, G] -> [B, Z].
     """
-    inputs = high_inputs(state.scale, achieved, goal)
-    policy = subgoal_policy.propose(state.high.params, inputs)
+    seen = subgoal_policy.inputs(state.scale, achieved, goal)
+    policy = subgoal_policy.propose(state.high.params, seen)
     if config.candidates == 1:
         return policy.mean
     source = latent_subgoals.prior(state.latent.params, state.scale, achieved) if config.high.prior else policy
     latents = source.sample(jax.random.key(0), (config.candidates,)).swapaxes(0, 1)
-    values = twin_values(state.high.params.critic, inputs, latents).min(axis=0)
-    return jnp.take_along_axis(latents, values.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+    return subgoal_policy.best(state.high.params, seen, latents)
 
 
 def propose_subgoal(
@@ -312,17 +244,6 @@ def propose_subgoal(
             final = latent_subgoals.encode(config.latent, latents, state.scale, achieved, goal).mean
             latent = jnp.where(near <= reach_radius, final, latent)
     return subgoal, latent
-
-
-def value(
-    config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array, latent: jax.Array
-) -> jax.Array:
-    """[B] of being at `achieved` with this goal, by what chooses subgoals: the critic's of the latent [B, Z] that it
-    proposed (see `propose_subgoal`), or minus the steps that the routes count. achieved, goal: [B, G]."""
-    if config.planner == "routes":
-        return -routes.next_place(state.high, achieved, goal, 0.0, config.problem.goal_parts)[1]
-    inputs = high_inputs(state.scale, achieved, goal)
-    return twin_values(state.high.params.critic, inputs, latent).min(axis=0)
 
 
 def act(
@@ -350,7 +271,7 @@ def act(
     latent = jnp.where(renew[:, None], latent, acting.latent)
     steps_left = jnp.where(renew, problem.period_steps, acting.steps_left) - 1
     seen = latent if config.low.subgoal_input == "latent" else subgoal
-    inputs = low_inputs(config, state, observation, achieved, seen, goal)
+    inputs = goal_policy.inputs(config.low, state.scale, observation, achieved, seen, goal)
     actions = learner(config.low.learner).act(config.low.learner, state.low, inputs)
     return actions, ActingState(subgoal, latent, steps_left)
 
@@ -360,34 +281,64 @@ def pursued(config: GuiderConfig, acting: ActingState) -> tuple[jax.Array, jax.A
     return acting.subgoal, acting.steps_left == config.problem.period_steps - 1
 
 
+def _propose(
+    config: GuiderConfig, state: GuiderState, observation: jax.Array, achieved: jax.Array, goal: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Worth is the critic's value of the subgoal's latent, or minus the steps that the routes count."""
+    subgoal, latent = propose_subgoal(config, state, achieved, goal)
+    if config.planner == "routes":
+        return subgoal, -routes.next_place(state.high, achieved, goal, 0.0, config.problem.goal_parts)[1]
+    seen = subgoal_policy.inputs(state.scale, achieved, goal)
+    return subgoal, subgoal_policy.values(state.high.params, seen, latent)
+
+
+def _reach(
+    config: GuiderConfig,
+    state: GuiderState,
+    observation: jax.Array,
+    achieved: jax.Array,
+    subgoal: jax.Array,
+    goal: jax.Array,
+) -> jax.Array:
+    if config.low.subgoal_input == "latent":
+        subgoal = latent_subgoals.encode(config.latent, state.latent.params, state.scale, achieved, subgoal).mean
+    inputs = goal_policy.inputs(config.low, state.scale, observation, achieved, subgoal, goal)
+    return learner(config.low.learner).act(config.low.learner, state.low, inputs)
+
+
+SUBGOALS = Subgoals(
+    pursued=pursued,
+    propose=_propose,
+    worth=lambda config: "minus the steps that are left" if config.planner == "routes" else "critic value",
+    reach=_reach,
+    periodic=lambda config: replace(config, replan="period", final_goal_substitution=False),
+    reachable=lambda config, state, achieved, count: latent_subgoals.reachable(
+        config.latent, state.latent.params, state.scale, achieved, count
+    ),
+    fit=lambda config, state, achieved, outcome: latent_subgoals.coverage(
+        config.latent, state.latent.params, state.scale, achieved, outcome
+    ),
+)
+
+
+def metric_labels(config: GuiderConfig) -> dict[str, str]:
+    in_spreads = config.latent.error_in_spreads and config.view.normalise
+    return {
+        "squared_error": f"squared error per entry ({'c-step spreads' if in_spreads else 'goal units'}²)",
+        "kl": "KL of posterior and prior (nats per entry)",
+        "divergence": "KL of policy and prior (nats per entry)" if config.high.prior else "log density of policy",
+    }
+
+
 LATENT_DIM = {"fetch": 3, "kitchen": 8}
 """Of latent subgoals, by domain; not published but for antmaze, whose 2 all others get."""
 
-FAST: Changes = under("high", STEADY_CRITIC) | {
-    "replan": "reached",
-    "final_goal_substitution": True,
-    "latent.updates": 12_000,
-    "latent.batch_size": 256,
-    "latent.learning_rate": 5e-4,
-    "latent.hidden": (256, 256),
-    "latent.beta": 0.1,
-    "latent.decoder_dropout": 0.0,
-    "latent.relative": True,
-    "latent.error_in_spreads": True,
-    "latent.initialisation": "fan_in",
-    "high.updates": 5_000,
-    "high.learning_rate": 1e-3,
-    "high.hidden": (256, 256),
-    "high.relabel_fraction": 0.7,
-    "high.random_goal_fraction": 0.3,
-    "low.updates": 40_000,
-    "low.batch_size": 256,
-    "low.learning_rate": 1e-3,
-    "low.decay": True,
-    "low.relative": True,
-    "low.relabel_fraction": 0.5,
-    "low.random_goal_fraction": 0.5,
-}
+FAST: Changes = (
+    under("latent", latent_subgoals.FAST)
+    | under("high", subgoal_policy.FAST)
+    | under("low", goal_policy.FAST)
+    | {"replan": "reached", "final_goal_substitution": True}
+)
 _ARM: Changes = MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
@@ -437,7 +388,9 @@ def guider_config(
 
 def _method(label: str, **departures: Any) -> Method:
     config = partial(guider_config, **departures)
-    return Method(label, GuiderConfig, config, init, stages, initial_acting_state, act, acts_by, pursued)
+    return Method(
+        label, GuiderConfig, config, init, stages, initial_acting_state, act, acts_by, SUBGOALS, metric_labels
+    )
 
 
 METHODS = {

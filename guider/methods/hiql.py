@@ -19,53 +19,30 @@ import jax
 import jax.numpy as jnp
 
 from guider.data.episodes import Spaces
-from guider.errors import GuiderError
 from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig
 from guider.learning import losses
-from guider.learning.networks import Layers, Precision, layer_norm_mlp, mlp, mlp_init, twin_init
-from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate, trail
+from guider.learning.networks import Layers, Precision, mlp, mlp_init
+from guider.learning.optimisers import Moments, adam_init, adam_step, cosine_rate
 from guider.learning.options import Preset
 from guider.learning.problem import Problem
-from guider.learning.samplers import ValueBatch, WaypointBatch, sample_value, sample_waypoints
+from guider.learning.samplers import WaypointBatch, sample_waypoints
 from guider.learning.training import Metrics, Stage
 from guider.learning.windows import Data
-from guider.methods.method import Method
+from guider.methods import goal_value
+from guider.methods.goal_value import (
+    ValueConfig,
+    ValueParams,
+    ValueState,
+    goal_inputs,
+    normalised,
+    represent,
+    state_inputs,
+    values,
+)
+from guider.methods.method import Method, Subgoals
 from guider.methods.presets import MANIPULATION, fast
 from guider.methods.view import Scale, ViewConfig
 from guider.support.config import ByDomain, Changes, check_fraction, check_networks, check_positive, override, under
-
-
-@dataclass(frozen=True)
-class ValueConfig:
-    """Settings of V(s, g) and phi(s, g). Defaults are the authors' (preset `paper`)."""
-
-    updates: int = 1_000_000
-    batch_size: int = 1024
-    learning_rate: float = 3e-4
-    decay: bool = False
-    """Let the learning rate fall to zero along a cosine over `updates` (departure)."""
-    hidden: tuple[int, ...] = (512, 512, 512)
-    representation_dim: int = 10
-    discount: float = 0.99
-    """gamma per environment step; goals of the future lie 1 / (1 - gamma) steps ahead on average."""
-    target_rate: float = 0.005
-    backup_steps: int = 1
-    """Logged steps between a state and the one it takes its target from. More steps carry values to far states in fewer
-    updates, and count what the data did in between as its best (departure)."""
-    expectile: float = 0.7
-    current_goal_fraction: float = 0.2
-    """Share of goals that are s^G_t itself."""
-    random_goal_fraction: float = 0.3
-    """Share of goals drawn from any trajectory; all others are geometric futures."""
-
-    def __post_init__(self) -> None:
-        check_networks(self)
-        check_positive(self, "representation_dim", "backup_steps")
-        check_fraction(self, "discount", "target_rate", "expectile", "current_goal_fraction", "random_goal_fraction")
-        if self.discount == 1:
-            raise GuiderError("discount must be below 1: it also says how far ahead goals lie")
-        if self.current_goal_fraction + self.random_goal_fraction > 1 + 1e-9:
-            raise GuiderError("current_goal_fraction and random_goal_fraction add up to more than 1")
 
 
 @dataclass(frozen=True)
@@ -116,19 +93,6 @@ class HiqlConfig:
         check_fraction(self, "action_scale", "random_goal_fraction")
 
 
-class ValueParams(NamedTuple):
-    """representation: phi, shared by the twins of V."""
-
-    representation: Layers
-    twins: Layers
-
-
-class ValueState(NamedTuple):
-    params: ValueParams
-    target: ValueParams
-    optimiser: Moments
-
-
 class ActorState(NamedTuple):
     params: Layers
     optimiser: Moments
@@ -148,110 +112,20 @@ def init(config: HiqlConfig, spaces: Spaces, scale: Scale, key: jax.Array) -> Hi
     phi_key, twins_key, high_key, low_key = jax.random.split(key, 4)
     wave_dim = 2 * config.view.position_waves * spaces.goal_dim
     state_dim, place_dim = spaces.state_dim + wave_dim, spaces.goal_dim + wave_dim
-    phi_dim = config.value.representation_dim
-    z_dim = phi_dim if config.subgoal == "representation" else spaces.goal_dim
-    params = ValueParams(
-        representation=mlp_init(phi_key, (state_dim + place_dim, *config.value.hidden, phi_dim)),
-        twins=twin_init(twins_key, (state_dim + phi_dim, *config.value.hidden, 1)),
-    )
+    z_dim = config.value.representation_dim if config.subgoal == "representation" else spaces.goal_dim
     high = mlp_init(high_key, (state_dim + place_dim, *config.high.hidden, z_dim))
     low = mlp_init(low_key, (state_dim + z_dim, *config.low.hidden, spaces.action_dim))
     return HiqlState(
         scale=scale,
-        value=ValueState(params, params, adam_init(params)),
+        value=goal_value.init(phi_key, twins_key, config.value, state_dim, place_dim),
         high=ActorState(high, adam_init(high)),
         low=ActorState(low, adam_init(low)),
     )
 
 
-def state_inputs(scale: Scale, observation: jax.Array, achieved: jax.Array) -> jax.Array:
-    """What all networks see of a state, scaled: [..., inputs]."""
-    return jnp.concatenate([scale.state(observation), scale.waves(achieved)], axis=-1)
-
-
-def goal_inputs(
-    config: HiqlConfig, scale: Scale, observation: jax.Array, achieved: jax.Array, goal: jax.Array
-) -> jax.Array:
-    """What phi and the high level see: scaled (s, g), [..., inputs]. With `relative`, g is a displacement from s^G, in
-    spreads of the data's c-step moves: what lies k steps ahead must be told apart."""
-    seen = (goal - achieved) / scale.step_std if config.relative else scale.goal(goal)
-    return jnp.concatenate([state_inputs(scale, observation, achieved), seen, scale.waves(goal)], axis=-1)
-
-
 def control_inputs(scale: Scale, observation: jax.Array, achieved: jax.Array, z: jax.Array) -> jax.Array:
     """What the low level sees: scaled s and z, [..., inputs]."""
     return jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
-
-
-def normalised(vector: jax.Array) -> jax.Array:
-    """At length sqrt(Z), so that entries are of size 1. [..., Z] -> [..., Z]."""
-    length = jnp.sqrt(jnp.sum(vector**2, axis=-1, keepdims=True) + 1e-12)
-    return vector / length * vector.shape[-1] ** 0.5
-
-
-def represent(
-    config: HiqlConfig,
-    params: ValueParams,
-    scale: Scale,
-    observation: jax.Array,
-    achieved: jax.Array,
-    goal: jax.Array,
-) -> jax.Array:
-    """phi(s, g): [..., Z] of length sqrt(Z). goal: [..., G] in goal units."""
-    seen = goal_inputs(config, scale, observation, achieved, goal)
-    return normalised(layer_norm_mlp(params.representation, seen))
-
-
-def values(
-    config: HiqlConfig,
-    params: ValueParams,
-    scale: Scale,
-    observation: jax.Array,
-    achieved: jax.Array,
-    goal: jax.Array,
-) -> jax.Array:
-    """Both estimates of V(s, g): [2, B], minus the discounted steps to the goal."""
-    z = represent(config, params, scale, observation, achieved, goal)
-    seen = jnp.concatenate([state_inputs(scale, observation, achieved), z], axis=-1)
-    return jax.vmap(lambda layers: layer_norm_mlp(layers, seen)[..., 0])(params.twins)
-
-
-def logged_return(config: HiqlConfig, batch: ValueBatch) -> tuple[jax.Array, jax.Array]:
-    """What a stretch of n steps earns, r_t + gamma * r_{t+1} + ..., and what V of the state after it counts for.
-
-    r(s, g) is 0 where s meets g, which ends the episode, and -1 elsewhere. Returns (earned [B], carried [B]): carried
-    is gamma^n, gamma^m where the data ends after m steps, and 0 where the goal is met on the way.
-    """
-    problem, discount = config.problem, config.value.discount
-    reward = jax.vmap(lambda place: losses.goal_reward(place, batch.goal, problem.radius, problem.goal_parts), 1, 1)(
-        batch.achieved
-    )
-    on_the_way = jnp.cumprod(reward < 0, axis=1)  # 1 until the goal is met
-    factor = discount ** jnp.arange(reward.shape[1])
-    earned = jnp.where(batch.valid, factor * on_the_way * reward, 0.0).sum(axis=1)
-    return earned, discount ** batch.valid.sum(axis=1) * on_the_way[:, -1]
-
-
-def value_loss(
-    config: HiqlConfig, params: ValueParams, target_params: ValueParams, scale: Scale, batch: ValueBatch
-) -> tuple[jax.Array, Metrics]:
-    """Expectile regression of V(s, g) on r(s, g) + gamma * V_target(s', g), with no action in it; sum over the twins.
-
-    Each twin regresses on its own target, but which side of the expectile a row is on is the same for both: the sign
-    of A = r + gamma * min V_target(s', g) minus the mean of V_target(s, g).
-    """
-    settings = config.value
-    earned, carried = logged_return(config, batch)
-    begin = batch.achieved[:, 0]
-    following = values(config, target_params, scale, batch.end_observation, batch.end, batch.goal)
-    current = values(config, target_params, scale, batch.observation, begin, batch.goal).mean(axis=0)
-    advantage = earned + carried * following.min(axis=0) - current
-    target = jax.lax.stop_gradient(earned + carried * following)
-    estimate = values(config, params, scale, batch.observation, begin, batch.goal)
-    weight = jnp.where(advantage >= 0, settings.expectile, 1 - settings.expectile)
-    error = jax.lax.stop_gradient(weight) * (target - estimate) ** 2
-    metrics = {"value_error": error.mean(), "value": estimate.mean(), "advantage": advantage.mean()}
-    return error.mean(axis=-1).sum(), metrics
 
 
 def name_subgoal(
@@ -266,6 +140,11 @@ def name_subgoal(
     if config.subgoal == "place":
         return (place - achieved) / scale.step_std
     return represent(config, params, scale, observation, achieved, place)
+
+
+def place_of(scale: Scale, achieved: jax.Array, z: jax.Array) -> jax.Array:
+    """The place that z names, [..., G] in goal units, where z names places: what `name_subgoal` makes z of."""
+    return achieved + z * scale.step_std
 
 
 def _actor(params: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> jax.Array:
@@ -337,22 +216,7 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
     """Value, high level and low level as three stages for the engine."""
 
     def update_value(state: HiqlState, data: Data, key: jax.Array):
-        settings, old = config.value, state.value
-        batch = sample_value(
-            data,
-            key,
-            settings.batch_size,
-            settings.backup_steps,
-            1 / (1 - settings.discount),
-            settings.current_goal_fraction,
-            settings.random_goal_fraction,
-        )
-        rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
-        gradients, metrics = jax.grad(
-            lambda params: value_loss(config, params, old.target, state.scale, batch), has_aux=True
-        )(old.params)
-        params, optimiser = adam_step(rate, old.params, gradients, old.optimiser)
-        return ValueState(params, trail(old.target, params, settings.target_rate), optimiser), metrics
+        return goal_value.update(config, state.value, state.scale, data, key)
 
     def actor_update(settings: ActorConfig, old: ActorState, loss):
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, old.optimiser)
@@ -385,9 +249,9 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
     )
 
 
-def initial_acting_state(config: HiqlConfig, goal_dim: int, batch_size: int) -> tuple[()]:
-    """Nothing is remembered between steps."""
-    return ()
+def initial_acting_state(config: HiqlConfig, goal_dim: int, batch_size: int) -> jax.Array | None:
+    """The place last named [B, G], which only pictures ask for; a representation is no place."""
+    return jnp.zeros((batch_size, goal_dim)) if config.subgoal == "place" else None
 
 
 def acts_by(config: HiqlConfig) -> str:
@@ -401,18 +265,50 @@ def act(
     goal_indices: tuple[int, ...],
     observation: jax.Array,
     goal: jax.Array,
-    acting: tuple[()],
+    acting: jax.Array | None,
     reset_mask: jax.Array,
-) -> tuple[jax.Array, tuple[()]]:
+) -> tuple[jax.Array, jax.Array | None]:
     """The most likely actions [B, A] in [-1, 1], for a subgoal that is new at every step, as the authors' code acts.
 
     observation: [B, S]; goal: [B, G].
     """
     achieved = observation[..., jnp.asarray(goal_indices)]
     z = propose(config, state.high.params, state.scale, observation, achieved, goal)
+    place = None
     if config.subgoal == "representation":
         z = normalised(z)
-    return control(config, state.low.params, state.scale, observation, achieved, z), ()
+    else:
+        place = place_of(state.scale, achieved, z)
+    return control(config, state.low.params, state.scale, observation, achieved, z), place
+
+
+def _propose(
+    config: HiqlConfig, state: HiqlState, observation: jax.Array, achieved: jax.Array, goal: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of `hiql-places`. Worth is V(s, g), the twins' mean."""
+    z = propose(config, state.high.params, state.scale, observation, achieved, goal)
+    value = values(config, state.value.params, state.scale, observation, achieved, goal).mean(axis=0)
+    return place_of(state.scale, achieved, z), value
+
+
+def _reach(
+    config: HiqlConfig,
+    state: HiqlState,
+    observation: jax.Array,
+    achieved: jax.Array,
+    subgoal: jax.Array,
+    goal: jax.Array,
+) -> jax.Array:
+    z = name_subgoal(config, state.value.params, state.scale, observation, achieved, subgoal)
+    return control(config, state.low.params, state.scale, observation, achieved, z)
+
+
+PLACES_NAMED = Subgoals(
+    pursued=lambda config, acting: (acting, jnp.ones(len(acting), bool)),
+    propose=_propose,
+    worth=lambda config: "value",
+    reach=_reach,
+)
 
 
 PLACES: Changes = {
@@ -447,9 +343,9 @@ def hiql_config(preset: Preset, problem: Problem, variant: Changes | None = None
     return paper if preset == "paper" else fast(paper, FAST, FAST_IN_DOMAIN)
 
 
-def _method(label: str, variant: Changes) -> Method:
+def _method(label: str, variant: Changes, subgoals: Subgoals | None = None) -> Method:
     config = partial(hiql_config, variant=variant)
-    return Method(label, HiqlConfig, config, init, stages, initial_acting_state, act, acts_by)
+    return Method(label, HiqlConfig, config, init, stages, initial_acting_state, act, acts_by, subgoals)
 
 
-METHODS = {"hiql": _method("HIQL", {}), "hiql-places": _method("HIQL on places", PLACES)}
+METHODS = {"hiql": _method("HIQL", {}), "hiql-places": _method("HIQL on places", PLACES, PLACES_NAMED)}

@@ -16,7 +16,10 @@ from guider.learning.optimisers import Moments, adam_init, adam_step
 from guider.learning.samplers import Windows
 from guider.learning.training import Metrics
 from guider.methods.view import Scale
-from guider.support.config import check_fraction, check_networks, check_positive
+from guider.support.config import Changes, check_fraction, check_networks, check_positive
+
+INSIDE_95 = 1.959964
+"""Deviations of a Gaussian to either side that hold its central 95 %."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,20 @@ class LatentSubgoalsConfig:
         check_fraction(self, "kl_balance", "decoder_dropout")
         if self.decoder_dropout == 1:
             raise GuiderError("decoder_dropout must be below 1")
+
+
+FAST: Changes = {
+    "updates": 12_000,
+    "batch_size": 256,
+    "learning_rate": 5e-4,
+    "hidden": (256, 256),
+    "beta": 0.1,
+    "decoder_dropout": 0.0,
+    "relative": True,
+    "error_in_spreads": True,
+    "initialisation": "fan_in",
+}
+"""What preset `fast` changes."""
 
 
 class LatentParams(NamedTuple):
@@ -100,6 +117,22 @@ def decode(
 def prior(params: LatentParams, scale: Scale, achieved: jax.Array) -> Gaussian:
     """rho(z | s^G_t). achieved: [..., G] in goal units."""
     return gaussian_head(mlp(params.prior, scale.position(achieved)))
+
+
+def reachable(
+    config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, achieved: jax.Array, count: int
+) -> jax.Array:
+    """z ~ rho(. | s^G), decoded: [B, G] -> [count, B, G]."""
+    latents = prior(params, scale, achieved).sample(jax.random.key(0), (count,))
+    return decode(config, params, scale, jnp.broadcast_to(achieved, (count, *achieved.shape)), latents)
+
+
+def coverage(
+    config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, achieved: jax.Array, later: jax.Array
+) -> jax.Array:
+    """Share of the latent entries of moves [B, G] -> [B, G] that lie within rho's central 95 %: 0.95 where it fits."""
+    latent, expected = encode(config, params, scale, achieved, later).mean, prior(params, scale, achieved)
+    return jnp.mean(jnp.abs(latent - expected.mean) <= INSIDE_95 * jnp.exp(expected.log_std))
 
 
 def loss(

@@ -141,10 +141,10 @@ class Agent:
     @property
     def subgoal(self) -> np.ndarray:
         """[G] the subgoal now pursued, in goal units. Raises GuiderError if the method has none."""
-        pursued = find_method(self.policy.method).pursued
-        if pursued is None:
+        subgoals = find_method(self.policy.method).subgoals
+        if subgoals is None:
             raise GuiderError(f"{self.policy.method} has no subgoals in goal space")
-        return np.asarray(pursued(self.policy.config, self._state)[0][0])
+        return np.asarray(subgoals.pursued(self.policy.config, self._state)[0][0])
 
 
 def _vector(values: ArrayLike, size: int, name: str) -> np.ndarray:

@@ -28,6 +28,7 @@ from guider.learning.networks import (
 )
 from guider.learning.optimisers import Moments, adam_init, adam_step, trail
 from guider.learning.training import Metrics
+from guider.methods.view import Scale
 from guider.support.config import (
     Changes,
     check_fraction,
@@ -99,6 +100,14 @@ STEADY_CRITIC: Changes = {
     "initialisation": "fan_in",
 }
 """Preset `fast`: values that stay at or below 0, from few samples."""
+FAST: Changes = STEADY_CRITIC | {
+    "updates": 5_000,
+    "learning_rate": 1e-3,
+    "hidden": (256, 256),
+    "relabel_fraction": 0.7,
+    "random_goal_fraction": 0.3,
+}
+"""What it changes in all."""
 
 
 class Params(NamedTuple):
@@ -145,9 +154,25 @@ def init(key: jax.Array, config: SubgoalPolicyConfig, state_dim: int, latent_dim
     return SubgoalPolicyState(params, params.critic, adam_init(params))
 
 
+def inputs(scale: Scale, achieved: jax.Array, goal: jax.Array) -> jax.Array:
+    """What the networks see: scaled (s^G, g_final), [..., inputs]."""
+    return jnp.concatenate([scale.position(achieved), scale.position(goal)], axis=-1)
+
+
 def propose(params: Params, state: jax.Array) -> Gaussian:
     """pi_h(z | s^G, g_final). state: [..., inputs] scaled (s^G, g_final)."""
     return gaussian_head(mlp(params.actor, state))
+
+
+def values(params: Params, state: jax.Array, latent: jax.Array) -> jax.Array:
+    """The smaller critic's: state [B, inputs], latent [B, Z] or [B, N, Z] -> [B] or [B, N]."""
+    return twin_values(params.critic, state, latent).min(axis=0)
+
+
+def best(params: Params, state: jax.Array, latents: jax.Array) -> jax.Array:
+    """The latent that the critic holds for best of each N: [B, N, Z] -> [B, Z]."""
+    chosen = values(params, state, latents).argmax(axis=1)
+    return jnp.take_along_axis(latents, chosen[:, None, None], axis=1)[:, 0]
 
 
 def _cap(config: SubgoalPolicyConfig, target: jax.Array) -> jax.Array:

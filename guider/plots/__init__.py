@@ -14,9 +14,10 @@ from matplotlib.figure import Figure
 
 from guider.data.episodes import Episodes
 from guider.evaluation.rollouts import rollout
-from guider.methods.guider import GuiderConfig
+from guider.methods import find_method
+from guider.methods.routes import Routes
 from guider.plots import canvas
-from guider.plots.curves import learning_curves, metric_labels, score_curve
+from guider.plots.curves import learning_curves, score_curve
 from guider.plots.gaps import fixed_period, subgoal_gaps, subgoals_met
 from guider.plots.logs import subgoals_on_logs
 from guider.plots.mazes import episodes_in_maze, reachable_in_maze, spread_positions, subgoal_arrows
@@ -63,34 +64,36 @@ def draw_run(
         saved.append(path)
 
     if lines := read_lines(run.directory / "metrics.jsonl"):
-        save("learning", learning_curves(lines, title_of_all, metric_labels(spec.config)))
+        save("learning", learning_curves(lines, title_of_all, find_method(spec.method).metric_labels(spec.config)))
     if lines := read_lines(run.directory / "evaluations.jsonl"):
         save("scores", score_curve(lines, title_of_all))
     policy = run.policies()[spec.seeds.index(seed)]
     logged, shown = episodes.split(spec.held_out) if spec.held_out else (episodes, episodes)
     kind = "held-out" if spec.held_out else "training"
 
-    guided = isinstance(policy.config, GuiderConfig)
+    subgoals = find_method(spec.method).subgoals
     if task is None or task.maze is None:
-        if guided:
+        if subgoals is not None:
             save(f"subgoals-seed{seed}", subgoals_on_logs(logged, shown, kind, policy, title))
         return saved
 
     maze, problem = task.maze, policy.config.problem
     traces = rollout(policy, task, episodes_shown, first_seed).traces
     save(f"episodes-seed{seed}", episodes_in_maze(task, maze, logged, traces, first_seed, title))
-    if not guided:
+    if subgoals is None:
         return saved
     save(f"arrows-seed{seed}", subgoal_arrows(task, maze, logged, policy, traces[0].goal, title))
-    if policy.config.planner == "routes" and np.isfinite(policy.state.high.places).any():
+    routes = getattr(policy.state, "high", None)
+    if isinstance(routes, Routes) and np.isfinite(routes.places).any():
         ends = np.stack([traces[0].achieved[0], traces[0].goal])
-        found = routes_in_maze(task, maze, logged, policy.config, policy.state.high, ends, title)
-        save(f"routes-seed{seed}", found)
-    positions = spread_positions(maze, logged, 8)
-    save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
-    measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed).traces
-    if len(subgoal_gaps(measured, problem.period_steps)):
-        save(f"met-seed{seed}", subgoals_met(problem, maze, logged, measured, first_seed, title))
+        save(f"routes-seed{seed}", routes_in_maze(task, maze, logged, policy.config, routes, ends, title))
+    if subgoals.reachable is not None:
+        positions = spread_positions(maze, logged, 8)
+        save(f"reachable-seed{seed}", reachable_in_maze(maze, logged, policy, positions, title))
+    if subgoals.periodic is not None:
+        measured = rollout(fixed_period(policy), task, EPISODES_MEASURED, first_seed).traces
+        if len(subgoal_gaps(measured, problem.period_steps)):
+            save(f"met-seed{seed}", subgoals_met(problem, maze, logged, measured, first_seed, title))
     return saved
 
 

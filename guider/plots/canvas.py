@@ -5,7 +5,6 @@ Positions are in goal units, which are metres in mazes. A function that takes `a
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
 from guider.data.episodes import Episodes
+from guider.support.files import replacing
 from guider.tasks.mazes import Maze
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
@@ -40,12 +40,10 @@ def new_figure(title: str, size: tuple[float, float]) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write `figure` as PNG under a temporary name, then rename: a picture is never half there."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}")
-    with warnings.catch_warnings():
+    """Write `figure` as PNG; a picture is never half there."""
+    with replacing(path) as part, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of names in scripts that the font lacks
-        figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
-    temporary.replace(path)
+        figure.savefig(part, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
 
 
 def seed_range(first: int, count: int) -> str:

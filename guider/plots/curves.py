@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from guider.methods.guider import GuiderConfig
 from guider.plots import canvas
 
 METRIC_LABELS = {
@@ -23,28 +22,18 @@ METRIC_LABELS = {
     "action_error": "squared error of actions in [-1, 1]",
     "weight": "advantage weight",
 }
-"""Metrics in the order of their importance; a stage shows its first four, others after these."""
+"""Metrics in the order of their importance; a stage shows its first four, others after these. A method may say more of
+what its own are (`Method.metric_labels`)."""
 LOGARITHMIC = ("squared_error", "td_error")
 METRICS_SHOWN = 4
-
-
-def metric_labels(config: Any) -> dict[str, str]:
-    """METRIC_LABELS with what depends on a method's settings."""
-    if not isinstance(config, GuiderConfig):
-        return METRIC_LABELS
-    in_spreads = config.latent.error_in_spreads and config.view.normalise
-    return METRIC_LABELS | {
-        "squared_error": f"squared error per entry ({'c-step spreads' if in_spreads else 'goal units'}²)",
-        "kl": "KL of posterior and prior (nats per entry)",
-        "divergence": "KL of policy and prior (nats per entry)" if config.high.prior else "log density of policy",
-    }
 
 
 def learning_curves(lines: Sequence[dict[str, Any]], title: str, labels: dict[str, str] = METRIC_LABELS) -> Figure:
     """A row of panels per stage: its main metrics against its updates, thin per seed and bold in the mean.
 
-    lines: of metrics.jsonl, at least one; labels: see `metric_labels`.
+    lines: of metrics.jsonl, at least one; labels: METRIC_LABELS, where other ones are.
     """
+    labels = METRIC_LABELS | labels
     stages = list(dict.fromkeys(line["stage"] for line in lines))
     figure = canvas.new_figure(title, (3.2 * METRICS_SHOWN, 2.3 * len(stages) + 0.4))
     panels = figure.subplots(len(stages), METRICS_SHOWN, squeeze=False)

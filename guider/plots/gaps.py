@@ -15,12 +15,15 @@ from guider.evaluation.rollouts import Trace
 from guider.learning.problem import Problem
 from guider.methods.policy import Policy
 from guider.plots import canvas
+from guider.plots.subgoals import subgoals_of
 from guider.tasks.mazes import Maze
 
 
 def fixed_period(policy: Policy) -> Policy:
     """The policy as the paper lets it act: a new subgoal every c steps, only then, and always decoded."""
-    return replace(policy, config=replace(policy.config, replan="period", final_goal_substitution=False))
+    periodic = subgoals_of(policy).periodic
+    assert periodic is not None
+    return replace(policy, config=periodic(policy.config))
 
 
 def subgoal_outcomes(traces: Sequence[Trace], period_steps: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from guider.data.episodes import Episodes
 from guider.methods.policy import Policy
 from guider.plots import canvas
-from guider.plots.subgoals import prior_samples, proposals
+from guider.plots.subgoals import proposals, reachable, subgoals_of
 
 Kind = Literal["held-out", "training"]
 
@@ -41,14 +41,14 @@ def _subgoals_in_plane(logged: Episodes, shown: Episodes, kind: Kind, policy: Po
     spread = logged.achieved.std(axis=0)
     spread[spread == 0] = 1  # an entry that never changes
     line = LineCollection([])
-    for index, (axes, achieved) in enumerate(zip(panels, paths, strict=False)):
+    for index, (axes, (states, achieved)) in enumerate(zip(panels, paths, strict=False)):
         here = achieved[::period]
-        subgoals, _ = proposals(policy, here, achieved[-1])
+        subgoals, _ = proposals(policy, states[::period], achieved[-1])
         kept = canvas.spaced(subgoals / spread, 0.2)
-        samples = prior_samples(policy, here[kept], 40).reshape(-1, 2)
+        samples = reachable(policy, here[kept], 40).reshape(-1, 2)
         canvas.logged_dots(axes, logged)
         axes.plot(*samples.T, "o", color=canvas.ORANGE, alpha=0.5, markersize=2, markeredgewidth=0, zorder=2)
-        line = canvas.timed_path(axes, achieved, max(len(path) for path in paths))
+        line = canvas.timed_path(axes, achieved, max(len(states) for states, _ in paths))
         canvas.numbered_stars(axes, subgoals[kept])
         canvas.flag(axes, achieved[-1], policy.config.problem.radius)
         axes.set_title(f"{kind} episode {index}, {len(achieved)} states", fontsize=9)
@@ -57,13 +57,12 @@ def _subgoals_in_plane(logged: Episodes, shown: Episodes, kind: Kind, policy: Po
     for axes in panels[len(paths) :]:
         axes.remove()
     canvas.colour_bar(figure, line, list(panels[: len(paths)]), "step of the episode")
-    samples_handle = canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded")
     canvas.legend(
         figure,
         [
             canvas.dot_handle(canvas.LOGGED, "logged states"),
             canvas.star_handle("subgoals in order (thinned)"),
-            samples_handle,
+            *_samples_handle(policy),
             canvas.flag_handle(),
         ],
     )
@@ -81,10 +80,10 @@ def _subgoals_over_time(logged: Episodes, shown: Episodes, kind: Kind, policy: P
         (4.2 * len(paths), 2.2 * len(entries) + 0.9),
     )
     panels = figure.subplots(len(entries), len(paths), squeeze=False, sharex="col", sharey="row")
-    for column, achieved in enumerate(paths):
+    for column, (states, achieved) in enumerate(paths):
         steps = np.arange(0, len(achieved), period)
-        subgoals, _ = proposals(policy, achieved[steps], achieved[-1])
-        samples = prior_samples(policy, achieved[steps], 20)
+        subgoals, _ = proposals(policy, states[steps], achieved[-1])
+        samples = reachable(policy, achieved[steps], 20)
         for axes, entry in zip(panels[:, column], entries, strict=True):
             later = np.repeat(steps + period, samples.shape[1])
             axes.plot(later, samples[..., entry].ravel(), "o", color=canvas.ORANGE, alpha=0.4, markersize=2.5)
@@ -102,16 +101,23 @@ def _subgoals_over_time(logged: Episodes, shown: Episodes, kind: Kind, policy: P
         [
             Line2D([], [], color=canvas.BLUE, label="logged"),
             Line2D([], [], color=canvas.RED, marker="*", linestyle="", label="subgoal, when it is due"),
-            canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded"),
+            *_samples_handle(policy),
             Line2D([], [], color=canvas.GREEN, linestyle="--", label="final goal"),
         ],
     )
     return figure
 
 
-def _first_paths(episodes: Episodes, count: int) -> list[np.ndarray]:
-    """s^G of the first `count` episodes, [states, G] each."""
-    return np.split(episodes.achieved, episodes.starts[1:])[:count]
+def _first_paths(episodes: Episodes, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(states [states, S], s^G [states, G]) of the first `count` episodes."""
+    of_states, of_places = (np.split(rows, episodes.starts[1:]) for rows in (episodes.observations, episodes.achieved))
+    return list(zip(of_states, of_places, strict=True))[:count]
+
+
+def _samples_handle(policy: Policy) -> list[Line2D]:
+    """What stands for samples in a legend, where a method has any."""
+    has_any = subgoals_of(policy).reachable is not None
+    return [canvas.dot_handle(canvas.ORANGE, "samples of the prior, decoded")] if has_any else []
 
 
 def _entry_name(episodes: Episodes, entry: int) -> str:

@@ -17,7 +17,7 @@ from guider.data.episodes import Episodes
 from guider.evaluation.rollouts import Trace
 from guider.methods.policy import Policy
 from guider.plots import canvas
-from guider.plots.subgoals import data_outcomes, prior_samples, proposals
+from guider.plots.subgoals import data_outcomes, proposals, reachable, states_at, subgoals_of
 from guider.tasks.mazes import Maze
 from guider.tasks.types import Task
 
@@ -71,11 +71,10 @@ def legible_subgoals(trace: Trace, spacing: float) -> np.ndarray:
 def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goal: np.ndarray, title: str) -> Figure:
     """From positions all over the maze, the subgoal proposed on the way to `goal` [2].
 
-    Colour is the value of being there with this goal, see guider.methods.guider.value; subgoals in walls
-    have a colour of their own.
+    Colour is what being there is worth, see guider.methods.method.Subgoals; subgoals in walls have one of their own.
     """
     starts = maze_positions(maze, per_cell=3)
-    subgoals, values = proposals(policy, starts, goal)
+    subgoals, worth = proposals(policy, states_at(logged, starts), goal)
     moves = subgoals - starts
     walled = in_wall(maze, subgoals)
     width, height = canvas.panel_size(maze, 9.0)
@@ -87,11 +86,10 @@ def subgoal_arrows(task: Task, maze: Maze, logged: Episodes, policy: Policy, goa
     axes = figure.subplots()
     canvas.ground(axes, maze, logged)
     size: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.0018, "zorder": 4}
-    arrows = axes.quiver(*starts.T, *moves.T, values, cmap=canvas.TIME_COLOURS, **size)
+    arrows = axes.quiver(*starts.T, *moves.T, worth, cmap=canvas.TIME_COLOURS, **size)
     axes.quiver(*starts[walled].T, *moves[walled].T, color=canvas.RED, **size)
     canvas.flag(axes, goal, task.radius)
-    routes = policy.config.planner == "routes"
-    canvas.colour_bar(figure, arrows, [axes], "minus the steps that are left" if routes else "critic value")
+    canvas.colour_bar(figure, arrows, [axes], subgoals_of(policy).worth(policy.config))
     inside = Line2D([], [], color=canvas.RED, marker=">", markersize=4, label="subgoal inside a wall")
     canvas.legend(figure, [canvas.logged_handle(), *([inside] if walled.any() else []), canvas.flag_handle()])
     return figure
@@ -103,7 +101,7 @@ def reachable_in_maze(maze: Maze, logged: Episodes, policy: Policy, positions: n
     positions: [P, 2]. The data's outcomes are those of the windows the prior learns from that start within an
     eighth of a cell of the position. Lengths are medians, in metres.
     """
-    samples = prior_samples(policy, positions, 150)
+    samples = reachable(policy, positions, 150)
     starts, later = data_outcomes(logged, policy.config)
     columns = min(4, len(positions))
     rows = -(-len(positions) // columns)

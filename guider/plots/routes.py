@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 
 from guider.data.episodes import Episodes
 from guider.goals import largest_distance
-from guider.methods.guider import GuiderConfig
 from guider.methods.routes import Routes, next_place
 from guider.plots import canvas
 from guider.tasks.mazes import Maze
@@ -20,7 +19,7 @@ from guider.tasks.types import Task
 
 
 def routes_in_maze(
-    task: Task, maze: Maze, logged: Episodes, config: GuiderConfig, routes: Routes, ends: np.ndarray, title: str
+    task: Task, maze: Maze, logged: Episodes, config: Any, routes: Routes, ends: np.ndarray, title: str
 ) -> Figure:
     """Places, coloured by the steps that are left to the goal, the edges that a subgoal may lie along, and the chain of
     subgoals from one to the other of `ends` [2, 2] if each is reached."""
@@ -59,7 +58,7 @@ def routes_in_maze(
 
 
 def way(
-    routes: Routes, start: np.ndarray, goal: np.ndarray, within_steps: float, config: GuiderConfig
+    routes: Routes, start: np.ndarray, goal: np.ndarray, within_steps: float, config: Any
 ) -> tuple[np.ndarray, float]:
     """(subgoals [n, G] in order, each chosen where the one before lies, steps from the first to the last)."""
     at, total, chain = jnp.asarray(start, jnp.float32)[None], None, []

@@ -32,7 +32,7 @@ from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
 from guider.support.config import from_dict, to_dict
-from guider.support.files import checked, parse_json, walk
+from guider.support.files import checked, parse_json, user_path, walk
 
 FORMAT = 7
 EARLIER = (6,)
@@ -175,6 +175,11 @@ def open_run(directory: str | Path) -> Run:
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
     return Run(directory, spec)
+
+
+def as_run(run: str | Path | Run) -> Run:
+    """A run, from its directory unless it is one already. Raises GuiderError as `open_run` does."""
+    return run if isinstance(run, Run) else open_run(user_path(run))
 
 
 def total_updates(stages: Sequence[Any], position: Position) -> int:

@@ -14,6 +14,7 @@ import shutil
 import stat
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -62,17 +63,29 @@ def _link(path: Path) -> GuiderError:
     return GuiderError(f"{path} is a symbolic link, and those are not followed; put in its place what it points at")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write under a temporary name, then rename: readers see the old file or the new one, never half."""
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`, which what was written there takes over at the end, unless that failed: readers
+    see the old file or the new one, never half."""
     part = temporary(path)
     part.unlink(missing_ok=True)
     try:
-        with part.open("x") as file:
-            file.write(text)
+        yield part
         part.replace(path)
-    except OSError:
+    except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Whole or not at all, see `replacing`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Whole or not at all, see `replacing`."""
+    with replacing(path) as part, part.open("xb") as file:
+        file.write(content)
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@
 
 The ant is Gymnasium's `ant.xml` turned into the robot D4RL recorded its data on: the bodies are the same, the
 time step is twice as long and the motors are five times weaker. Stepping it from a recorded state with the
-recorded action lands on the next recorded state (tests/test_antmaze.py): data and evaluation share one robot.
+recorded action lands on the next recorded state (tests/tasks/test_antmaze.py): data and evaluation share one robot.
 Gymnasium-Robotics' `AntMaze_*` is the other robot, and scores on it are not comparable.
 """
 

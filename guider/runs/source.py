@@ -1,0 +1,38 @@
+"""A run's data, found again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from guider.data.episodes import IN_MEMORY, Episodes
+from guider.errors import GuiderError
+from guider.runs.asked import episodes_of
+from guider.runs.run import Run
+from guider.support.files import user_path
+
+
+def same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
+    """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same."""
+    spec = run.spec
+    if data is None and spec.data == IN_MEMORY:
+        raise GuiderError(f"{run.directory} was trained on arrays in memory; give the same Episodes (data=episodes)")
+    try:
+        given = spec.data if data is None else data
+        episodes = episodes_of(given, spec.spaces.goal_indices, spec.format, spec.episode_ends)
+    except GuiderError as error:
+        if data is not None:
+            raise
+        raise GuiderError(f"{error} (what {run.directory} was trained on; if it has moved: --data PLACE)") from error
+    fingerprint = episodes.fingerprint()
+    if fingerprint != spec.fingerprint:
+        raise GuiderError(
+            f"{episodes.source} (fingerprint {fingerprint}) is not the data {run.directory} was trained on "
+            f"({spec.data}, fingerprint {spec.fingerprint}); give that with --data"
+        )
+    return episodes
+
+
+def lasting(data: str | Path | Episodes | None, episodes: Episodes) -> str:
+    """The data's name, such that it is found again from another directory."""
+    path = None if isinstance(data, Episodes) else user_path(episodes.source)
+    return str(path.absolute()) if path is not None and path.exists() else episodes.source

@@ -1,0 +1,12 @@
+"""The mutations, a file for each room of the package.
+
+A text stands exactly once in its file. Tests are files or ids below tests/, separated by blanks: the fewer, the faster.
+"""
+
+from mutants.mutation import Mutation
+from mutants.table import data, evaluation, learners, learning, methods, reproduce, tasks
+
+_ROOMS = [learning, learners, methods, data, evaluation, tasks, reproduce]
+MUTATIONS = [
+    Mutation(file, *mutation) for room in _ROOMS for file, mutations in room.TABLE.items() for mutation in mutations
+]

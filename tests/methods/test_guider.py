@@ -1,0 +1,402 @@
+"""The method's parts against hand-worked cases, and its switches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import make_ragged, tiny, train_guider
+
+from guider import runs
+from guider.data.episodes import make_episodes
+from guider.errors import GuiderError
+from guider.learning import losses
+from guider.learning.networks import Gaussian, twin_values
+from guider.learning.problem import Problem
+from guider.learning.samplers import HighBatch, LowBatch, Windows
+from guider.learning.training import init_seeds, train
+from guider.methods import guider as method
+from guider.methods import latent_subgoals, subgoal_policy
+from guider.methods.guider import GuiderConfig, guider_config
+from guider.methods.latent_subgoals import LatentSubgoalsConfig
+from guider.methods.policy import Policy, act, initial_state
+from guider.methods.routes import Routes
+from guider.methods.view import Scale, ViewConfig, prepare
+from guider.support.config import differences, from_dict, override, to_dict
+
+
+def policy_of(config, episodes, seeds=(0,)) -> Policy:
+    state = train_guider(config, episodes, seeds)
+    return Policy(
+        jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), state),
+        jnp.asarray(episodes.action_low),
+        jnp.asarray(episodes.action_high),
+        "guider",
+        config,
+        episodes.goal_indices,
+        episodes.observations.shape[1],
+    )
+
+
+SWITCHES = {
+    "paper": {},
+    "without prior (Table 2)": {"high.prior": "False"},
+    "without CQL (Table 2)": {"high.critic": "td"},
+    "without decoder (Figure 5)": {"low.subgoal_input": "latent"},
+    "without decoder, as acting substitutes the goal": {
+        "low.subgoal_input": "latent",
+        "final_goal_substitution": "True",
+    },
+    "expectile critic": {"high.critic": "expectile"},
+    "fixed conservative weight": {"high.lagrange_threshold": "None"},
+    "strict relabelling": {"high.goal_offset": "1", "view.boundary": "drop"},
+    "subgoal slack of the authors": {"low.subgoal_slack_steps": "5"},
+}
+
+
+def shapes(tree):
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree)
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+@pytest.mark.parametrize("switches", SWITCHES.values(), ids=SWITCHES)
+def test_every_switch_trains_and_acts(switches, preset):
+    """Traced, not run: compiling each combination would take minutes, and test_updates.py has their numbers."""
+    config = override(tiny(guider_config(preset, Problem(0.5, 1.0, period_steps=5))), switches)
+    episodes = make_ragged()
+    data, scale = prepare(config.view, config.problem, episodes)
+    state = jax.eval_shape(lambda key: method.init(config, episodes.spaces, scale, key), jax.random.key(0))
+    for stage in method.stages(config):
+        part, metrics = jax.eval_shape(stage.update, state, data, jax.random.key(1))
+        assert shapes(part) == shapes(getattr(state, stage.part)), "what is carried from update to update"
+        assert all(metric.shape == () for metric in metrics.values())
+    policy = Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
+    begun = initial_state(policy, 3)
+    actions, acting = jax.eval_shape(act, policy, jnp.zeros((3, 4)), jnp.ones((3, 2)), begun, jnp.ones(3, bool))
+    assert actions.shape == (3, 2) and shapes(acting) == shapes(begun)
+
+
+def test_presets_are_what_they_say():
+    paper = guider_config("paper", Problem(0.5, 1.0, 50))
+    assert paper == GuiderConfig()
+    assert differences(replace(paper, replan="reached"), paper) == {"replan": "reached"}
+    assert (paper.latent.updates, paper.high.updates, paper.low.updates) == (500_000, 200_000, 500_000)
+    fast = guider_config("fast", Problem(0.5, 1.0, 50))
+    assert {"view.normalise", "low.relative"} < set(differences(fast, paper))
+    parts = guider_config("fast", Problem(0.3, 0.3, 40, goal_parts=((0,), (1, 2)), domain="kitchen"))
+    assert parts.problem.goal_parts == ((0,), (1, 2)) and parts.latent.latent_dim == 8
+
+
+def test_configs_survive_json_and_name_their_faults():
+    config = guider_config("fast", Problem(0.25, 0.5, 20))
+    assert from_dict(GuiderConfig, to_dict(config)) == config
+    assert override(config, {"low.hidden": "(8, 8)", "replan": "reached"}).low.hidden == (8, 8)
+    for change, message in {
+        ("high.critic", "magic"): "must be one of cql, td, expectile",
+        ("low.updates", "many"): "must be of type int, got 'many'",
+        ("high.relabel_fraction", "1.5"): "relabel_fraction must lie between 0 and 1",
+        ("action_scale", "1.5"): "action_scale must lie between 0 and 1",
+        ("precision", "float16"): "must be one of auto, float32, bfloat16",
+        ("problem.radius", "-1"): "radius must be above 0",
+        ("low.learner.discount", "2"): "discount must lie between 0 and 1",
+        ("low.learner.kind", "magic"): "must be one of awr, cql, gcsl, iql, wgcsl",
+        ("hihg.samples", "1"): "did you mean high.samples",
+        ("low.hidden", "()"): "hidden must name one or more layers",
+        ("low.updates", "0"): "updates must be above 0",
+        ("view.normalise", "false"): "position_waves needs normalise",
+    }.items():
+        with pytest.raises(GuiderError, match=message):
+            override(config, dict([change]))
+
+
+def test_low_inputs_and_reward_by_hand():
+    config = replace(guider_config("paper", Problem(0.5, 1.0, 5)), low=replace(GuiderConfig().low, relative=True))
+    scale = Scale(jnp.zeros(3), jnp.full(3, 2.0), jnp.zeros(2), jnp.full(2, 10.0), jnp.full(2, 4.0), jnp.zeros(0))
+    spaces = make_ragged().spaces
+    state = method.init(config, replace(spaces, state_dim=3), scale, jax.random.key(0))
+    batch = LowBatch(
+        observation=jnp.array([[1.0, 2.0, 6.0]]),
+        action=jnp.zeros((1, 2)),
+        next_observation=jnp.array([[2.0, 2.0, 6.0]]),
+        achieved=jnp.array([[1.0, 2.0]]),
+        next_achieved=jnp.array([[2.0, 2.0]]),
+        subgoal=jnp.array([[2.4, 2.0]]),
+        subgoal_steps=jnp.array([3]),
+        chosen_at=jnp.array([[0.0, 2.0]]),
+        goal=jnp.array([[11.0, 2.0]]),
+    )
+    seen = method.relabel_low(config, state, batch, jax.random.key(0))
+    np.testing.assert_allclose(seen.state, [[0.5, 1.0, 3.0, 1.4 / 4, 0.0, 1.0, 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(seen.next_state, [[1.0, 1.0, 3.0, 0.1, 0.0, 0.9, 0.0]], rtol=1e-5)
+    assert seen.steps.tolist() == [3]
+    assert seen.reward.tolist() == [0.0], "0.4 m from the subgoal after the step"
+
+
+def test_high_relabelling_by_hand():
+    """z is drawn from the posterior of the true pair, and the reward is for meeting the goal after c steps."""
+    config = guider_config("paper", Problem(0.5, 1.0, 5))
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    now, later = jnp.zeros((2, 2)), jnp.array([[3.0, 0.0], [3.0, 0.0]])
+    goal = jnp.array([[3.3, 0.0], [4.0, 0.0]])
+    seen = method.relabel_high(config, state, HighBatch(now, later, goal), jax.random.key(1))
+    assert seen.reward.tolist() == [0.0, -1.0]
+    np.testing.assert_array_equal(seen.state, [[0, 0, np.float32(3.3), 0], [0, 0, 4, 0]])
+    np.testing.assert_array_equal(seen.next_state, [[3, 0, np.float32(3.3), 0], [3, 0, 4, 0]])
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, now, later)
+    np.testing.assert_array_equal(seen.latent, posterior.sample(jax.random.key(1)))
+    for prior, place in ((seen.prior, now), (seen.next_prior, later)):
+        expected = latent_subgoals.prior(state.latent.params, state.scale, place)
+        np.testing.assert_array_equal(prior.mean, expected.mean)
+
+
+def test_coverage_is_the_share_within_the_priors_central_95_percent(monkeypatch):
+    """Of moves named by their length, where N(0, 2^2) is expected: |z| <= 1.96 * 2."""
+    monkeypatch.setattr(latent_subgoals, "encode", lambda c, p, s, here, later: Gaussian(later - here, 0 * here))
+    monkeypatch.setattr(latent_subgoals, "prior", lambda p, s, here: Gaussian(0 * here, 0 * here + jnp.log(2.0)))
+    moves = jnp.array([[1.0], [3.5], [-3.9], [3.95], [-5.0]])
+    config, state = GuiderConfig().latent, jnp.zeros(0)
+    covered = latent_subgoals.coverage(config, cast(Any, state), _unit(), jnp.ones((5, 1)), 1 + moves)
+    assert float(covered) == pytest.approx(3 / 5)
+
+
+def test_targets_start_as_copies_of_the_critics():
+    state = method.init(guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, _unit(), jax.random.key(1))
+    for part in (state.high, state.low):
+        pairs = zip(jax.tree.leaves(part.params.critic), jax.tree.leaves(part.target_critic), strict=True)
+        assert all(jnp.array_equal(a, b) for a, b in pairs)
+
+
+def _unit() -> Scale:
+    return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
+
+
+def constant_policy(**acting) -> Policy:
+    """Untrained policy whose networks are zero: it proposes its own position and never moves."""
+    config = tiny(replace(guider_config("paper", Problem(0.5, 1.0, 3)), **acting))
+    config = replace(config, latent=replace(config.latent, relative=True))
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = state._replace(
+        latent=jax.tree.map(jnp.zeros_like, state.latent),
+        high=jax.tree.map(jnp.zeros_like, state.high),
+        low=jax.tree.map(jnp.zeros_like, state.low),
+    )
+    return Policy(state, jnp.array([0.0, -2.0]), jnp.array([4.0, 2.0]), "guider", config, (0, 1), 4)
+
+
+def renewals(policy: Policy, positions, resets=(0,)) -> list[bool]:
+    """Whether the subgoal is new at each step; a subgoal is the position it was proposed at. resets: steps at which an
+    episode begins."""
+    acting, seen = initial_state(policy, 1), []
+    for step, x in enumerate(positions):
+        observation = jnp.array([[x, 0.0, 0.0, 0.0]])
+        actions, acting = act(policy, observation, jnp.array([[100.0, 0.0]]), acting, jnp.array([step in resets]))
+        assert actions.tolist() == [[2.0, 0.0]], "zero network output is the middle of the action bounds"
+        seen.append(float(acting.subgoal[0, 0]) == x)
+    return seen
+
+
+def test_a_new_subgoal_every_period():
+    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9, 10]) == [
+        True,
+        False,
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]
+
+
+def test_a_new_subgoal_when_an_episode_begins():
+    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9], resets=(0, 2)) == [True, False, True, False, False, True]
+
+
+def test_a_new_subgoal_as_soon_as_reached():
+    policy = constant_policy(replan="reached")
+    assert renewals(policy, [0, 5, 0.5, 7, 8, 7.5]) == [True, False, True, False, False, True]
+
+
+def test_final_goal_is_substituted_only_within_reach():
+    policy = constant_policy(final_goal_substitution=True)
+    goal = jnp.array([[0.9, 0.0], [1.1, 0.0]])
+    subgoal, _ = method.propose_subgoal(policy.config, policy.state, jnp.zeros((2, 2)), goal)
+    np.testing.assert_allclose(subgoal, [[0.9, 0.0], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("prior", [True, False])
+def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses(prior):
+    """Two candidates of a distribution of no spread lie at its mean: where the prior is off, nothing of it is left."""
+    episodes = make_ragged()
+    config = override(tiny(guider_config("fast", Problem(0.5, 1.0, 5))), {"high.prior": prior})
+    _, scale = prepare(config.view, config.problem, episodes)
+    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    achieved, goal = jnp.asarray(episodes.achieved[:4]), jnp.full((4, 2), 100.0)
+    inputs = subgoal_policy.inputs(scale, achieved, goal)
+    policy = subgoal_policy.propose(state.high.params, inputs)
+    source = latent_subgoals.prior(state.latent.params, scale, achieved) if prior else policy
+    _, mean = method.propose_subgoal(config, state, achieved, goal)
+    np.testing.assert_array_equal(mean, policy.mean)
+    often = ", a new one every 5 steps or once it is reached"
+    assert method.acts_by(config) == f"mean of the subgoal policy{often}"
+
+    many = replace(config, candidates=32)
+    assert method.acts_by(many) == f"best of 32 samples of the {'prior' if prior else 'subgoal policy'}{often}"
+    _, chosen = method.propose_subgoal(many, state, achieved, goal)
+    _, once_more = method.propose_subgoal(many, state, achieved, goal)
+    np.testing.assert_array_equal(chosen, once_more)
+    elsewhere = source.sample(jax.random.key(5), (500,)).swapaxes(0, 1)
+    values = twin_values(state.high.params.critic, inputs, elsewhere).min(axis=0)
+    best = twin_values(state.high.params.critic, inputs, chosen).min(axis=0)
+    assert bool(jnp.all(best > jnp.quantile(values, 0.8, axis=1))), "better than most of what it offers"
+    drawn = source.sample(jax.random.key(0), (32,)).swapaxes(0, 1)
+    assert bool(jnp.all((drawn == chosen[:, None]).all(axis=-1).any(axis=1))), "one of its samples"
+
+
+def test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen():
+    config = override(guider_config("paper", Problem(0.5, 1.0, 5)), {"low.subgoal_input": "latent"})
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = state._replace(latent=jax.tree.map(lambda leaf: leaf + 0.1, state.latent))
+    here, chosen_at, subgoal = jnp.ones((1, 2)), jnp.array([[-3.0, 2.0]]), jnp.array([[4.0, 0.0]])
+    batch = LowBatch(
+        jnp.ones((1, 4)), jnp.zeros((1, 2)), jnp.ones((1, 4)), here, here, subgoal, jnp.array([3]), chosen_at, here
+    )
+    seen = method.relabel_low(config, state, batch, jax.random.key(1))
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, chosen_at, subgoal)
+    np.testing.assert_array_equal(seen.state[:, 4:6], posterior.sample(jax.random.key(1)))
+    np.testing.assert_array_equal(seen.next_state[:, 4:6], seen.state[:, 4:6])
+
+
+def test_small_spreads_of_goal_entries_are_not_blown_up():
+    ragged = make_ragged()
+    observations = np.asarray(ragged.observations) * [1.0, 1e-4, 1e-4, 1.0]
+    episodes = make_episodes(observations, ragged.actions, ragged.lengths, (0, 1))
+    _, scale = prepare(ViewConfig(normalise=True, smallest_spread=0.1), Problem(period_steps=5), episodes)
+    plain = prepare(ViewConfig(normalise=True), Problem(period_steps=5), episodes)[1]
+    assert scale.goal_std[1] == scale.state_std[1] == scale.step_std[1] == np.float32(0.1)
+    assert scale.goal_std[0] == plain.goal_std[0] > 0.1
+    np.testing.assert_array_equal(scale.state_std[2:], plain.state_std[2:])
+
+
+def untrained(config, episodes) -> Policy:
+    _, scale = prepare(config.view, config.problem, episodes)
+    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    return Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
+
+
+def test_actions_are_scaled_towards_the_resting_action(fast_config, ragged):
+    """0, or the bound nearest to it: a throttle that rests at an end of its range stays there."""
+    low, high, rest = jnp.array([-1.0, 2.0]), jnp.array([1.0, 6.0]), jnp.array([0.0, 2.0])
+    policy = replace(untrained(fast_config, ragged), action_low=low, action_high=high)
+    gentle = replace(policy, config=replace(fast_config, action_scale=0.25))
+    inputs = jnp.ones((1, 4)), jnp.ones((1, 2)), initial_state(policy, 1), jnp.ones(1, bool)
+    (full, _), (quarter, _) = act(policy, *inputs), act(gentle, *inputs)
+    np.testing.assert_allclose(quarter[0] - rest, 0.25 * (full[0] - rest), rtol=1e-5, atol=1e-6)
+    assert jnp.abs(full[0] - rest).min() > 1e-3
+
+
+def test_what_the_data_never_varied_is_not_shown(fast_config, ragged):
+    """Beyond the data's range and half of it more, an entry or a goal changes nothing: a constant one never does."""
+    spaces = replace(ragged.spaces, state_low=(-20.0, -20, 0, 3), state_high=(20.0, 20, 8, 3))
+    (policy,) = runs.policies(
+        runs.RunSpec(None, "", None, (), "", 0.0, "guider", "fast", (0,), fast_config, spaces),
+        jax.tree.map(lambda leaf: leaf[None], untrained(fast_config, ragged).state),
+    )
+
+    def answer(observation, goal=(1.0, 1.0)):
+        begins = initial_state(policy, 1), jnp.ones(1, bool)
+        return np.asarray(act(policy, jnp.array([observation]), jnp.array([goal]), *begins)[0])
+
+    np.testing.assert_array_equal(answer([0.0, 0, 4, 3]), answer([0.0, 0, 4, 3.05]))
+    np.testing.assert_array_equal(answer([0.0, 0, 12, 3]), answer([0.0, 0, 1e6, 3]))
+    np.testing.assert_array_equal(answer([0.0, 0, 4, 3], (40.0, 0)), answer([0.0, 0, 4, 3], (1e6, 0)))
+    assert np.abs(answer([0.0, 0, 4, 3]) - answer([0.0, 0, 8, 3])).max() > 1e-4
+    assert np.abs(answer([0.0, 0, 4, 3]) - answer([39.0, 0, 4, 3])).max() > 1e-4
+
+
+def test_acting_is_batched_row_by_row(fast_config, ragged):
+    policy = untrained(fast_config, ragged)
+    observations, goals = jnp.asarray(ragged.observations[:6]), jnp.ones((6, 2))
+    together, _ = act(policy, observations, goals, initial_state(policy, 6), jnp.ones(6, bool))
+    for row in range(6):
+        alone, _ = act(policy, observations[row : row + 1], goals[:1], initial_state(policy, 1), jnp.ones(1, bool))
+        np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-5)
+
+
+def test_latent_model_learns_what_is_reachable():
+    """Displacements of +-3 m along one axis: the decoder spans both, the prior covers them, the error is small."""
+    rng = np.random.default_rng(1)
+    way = rng.choice([-3.0, 3.0], 4000)
+    start = rng.uniform(-5, 5, 4000)
+    positions = np.stack([start, start + way], axis=1).reshape(-1, 1)
+    episodes = make_episodes(positions, np.zeros((8000, 1)), [2] * 4000, (0,))
+    config = tiny(guider_config("fast", Problem(0.5, 1.0, period_steps=1)), updates=1500)
+    config = replace(config, latent=replace(config.latent, latent_dim=1, learning_rate=3e-3))
+    data, scale = prepare(config.view, config.problem, episodes)
+    state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), (0,))
+    state = jax.tree.map(lambda leaf: leaf[0], train(method.stages(config)[:1], state, data, (0,)))
+    at = jnp.zeros((2, 1))
+    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, at, jnp.array([[-3.0], [3.0]]))
+    decoded = latent_subgoals.decode(config.latent, state.latent.params, state.scale, at, posterior.mean)
+    np.testing.assert_allclose(decoded[:, 0], [-3.0, 3.0], atol=0.3)
+    prior = latent_subgoals.prior(state.latent.params, state.scale, at)
+    assert bool(jnp.all(jnp.abs(posterior.mean - prior.mean) <= 2.5 * jnp.exp(prior.log_std)))
+    assert bool(jnp.all(losses.gaussian_kl(posterior, prior) > 0.2)), "the latent tells the ways apart"
+
+
+def test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units():
+    config = LatentSubgoalsConfig(hidden=(8,), decoder_dropout=0.0, relative=True, error_in_spreads=True)
+    params = latent_subgoals.init(jax.random.key(0), config, 2, 2).params
+    achieved, later = jax.random.normal(jax.random.key(1), (2, 16, 2))
+
+    def loss(config, unit):
+        ones = unit * jnp.ones(2)
+        scale = _unit()._replace(goal_std=ones, step_std=0.3 * ones)
+        return latent_subgoals.loss(config, params, scale, Windows(unit * achieved, unit * later), jax.random.key(2))[0]
+
+    assert jnp.allclose(loss(config, 1.0), loss(config, 100.0), rtol=1e-5)
+    in_units = replace(config, error_in_spreads=False)
+    assert loss(in_units, 100.0) > 100 * loss(in_units, 1.0)
+
+
+def test_routes_choose_in_the_policys_stead():
+    """There and back along ten metres, eight times: a subgoal is a logged place within 0.7 of c = 5 steps, and value
+    is minus the steps that are left. No pi_h is trained."""
+    ahead = np.stack([np.arange(11.0), np.zeros(11)], axis=1)
+    rows = np.concatenate([ahead, ahead[::-1]] * 8).astype(np.float32)
+    logs = make_episodes(rows, np.zeros((len(rows), 1), np.float32), [11] * 16, (0, 1))
+    small = {"routes.places": 30, "latent.hidden": (8,), "low.hidden": (8,)}
+    config = override(guider_config("fast", Problem(0.5, 1.0, 5), planner="routes"), small)
+    stages = method.stages(config)
+    assert [stage.name for stage in stages] == ["latent subgoals", "routes", "goal policy"]
+    data, scale = prepare(config.view, config.problem, logs)
+    state = method.init(config, logs.spaces, scale, jax.random.key(0))
+    routes, metrics = stages[1].update(state, data, jax.random.key(0))
+    assert metrics["places"] == 11 and metrics["reachable"] == 1
+    state = state._replace(high=routes)
+    here, goal = jnp.array([[2.0, 0.0], [8.0, 0.0]]), jnp.array([[9.0, 0.0], [1.0, 0.0]])
+    subgoal, latent = method.propose_subgoal(config, state, here, goal)
+    np.testing.assert_array_equal(subgoal, [[5, 0], [5, 0]])
+    assert latent.shape == (2, 2)
+    proposed, worth = method.SUBGOALS.propose(config, state, here, here, goal)
+    np.testing.assert_array_equal(proposed, subgoal)
+    np.testing.assert_array_equal(worth, [-7, -7])
+    assert method.acts_by(config).startswith("logged place nearest to the goal")
+
+
+def test_routes_serve_a_low_level_that_sees_latents():
+    """Without decoder, the next place is encoded where it is chosen."""
+    config = override(
+        guider_config("paper", Problem(0.5, 1.0, 5)), {"planner": "routes", "low.subgoal_input": "latent"}
+    )
+    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    edges = jnp.array([[0.0, 2.0], [2.0, 0.0]])
+    state = state._replace(high=Routes(jnp.array([[0.0, 0.0], [3.0, 0.0]]), edges, edges))
+    here, goal = jnp.array([[0.0, 0.0]]), jnp.array([[3.2, 0.0]])
+    subgoal, latent = method.propose_subgoal(config, state, here, goal)
+    np.testing.assert_array_equal(subgoal, goal)  # two steps on
+    expected = latent_subgoals.encode(config.latent, state.latent.params, state.scale, here, goal).mean
+    np.testing.assert_array_equal(latent, expected)
