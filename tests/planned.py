@@ -13,7 +13,7 @@ from guider.support import files
 SETTINGS = {
     "latent.updates": "4",
     "high.updates": "4",
-    "low.updates": "3000",
+    "low.updates": "2000",
     "latent.hidden": "(8,)",
     "high.hidden": "(8,)",
     "low.hidden": "(8,)",

@@ -20,6 +20,7 @@ def own(monkeypatch) -> None:
     monkeypatch.setenv("GUIDER_TASKS", str(FILE))
 
 
+@pytest.mark.usefixtures("optimised")
 def test_it_is_listed_recorded_learned_and_scored(own, tmp_path, capsys):
     data, run = str(tmp_path / "cart.hdf5"), str(tmp_path / "run")
     assert main(["tasks"]) == 0

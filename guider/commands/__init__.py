@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from guider.commands.collect import collect
+from guider.commands.compare import compare
 from guider.commands.data import data
 from guider.commands.evaluate import evaluate
 from guider.commands.export import export
+from guider.commands.info import info
 from guider.commands.plot import plot
 from guider.commands.reproduce import reproduce
+from guider.commands.runs import runs
 from guider.commands.tasks import tasks
 from guider.commands.train import train
 
@@ -21,5 +24,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "tasks": tasks,
     "data": data,
     "collect": collect,
+    "runs": runs,
+    "compare": compare,
     "reproduce": reproduce,
+    "info": info,
 }

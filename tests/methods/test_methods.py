@@ -88,9 +88,9 @@ class Crossing(NamedTuple):
 NEAR = Crossing(6, 25, {"view.minimum_move": PROBLEM.reach_radius})  # not where it is pushed against an end
 """Of methods without subgoals or skills; the others' is longer than most recorded episodes go."""
 _GUIDER = Crossing(
-    15, 40, {"latent.updates": 1000, "latent.latent_dim": 1, "high.updates": 2000, "high.target_rate": 0.02}
+    15, 40, {"latent.updates": 1000, "latent.latent_dim": 1, "high.updates": 1000, "high.target_rate": 0.02}
 )
-_HIQL = Crossing(15, 40, {"subgoal_steps": 5, "value.updates": 3000}, nearer_is_better)
+_HIQL = Crossing(15, 40, {"subgoal_steps": 5, "value.updates": 1500}, nearer_is_better)
 _OPAL = Crossing(
     15,
     60,

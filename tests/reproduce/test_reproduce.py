@@ -59,7 +59,7 @@ def test_data_is_recorded_and_a_failing_run_does_not_end_the_plan(made):
     assert broken["task"] == BROKEN and "mean" not in broken["cells"][0]
     result = json.loads((made / "out" / "runs" / TASK / "guider-fast" / "evaluation.json").read_text())
     assert fine["cells"][0]["per_seed"] == [seed["score"] for seed in result["per_seed"]]
-    assert result["departures"]["low.updates"] == 3000 and result["episode_seeds"] == [0, 5]
+    assert result["departures"]["low.updates"] == 2000 and result["episode_seeds"] == [0, 5]
     assert document["unfinished"][0]["task"] == BROKEN
     assert f"`guider reproduce table1 --tasks {BROKEN} --methods guider" in (made / "out" / "table1.md").read_text()
     log = (made / "out" / "logs" / f"{BROKEN}-guider-fast.log").read_text()
@@ -133,7 +133,7 @@ def test_a_signal_ends_the_runs_too_which_save_first(made, tmp_path):
     """SIGTERM to the runner alone, in the middle of a stage that would take hours."""
     out = tmp_path / "out"
     arguments = [*command("table1", made, "--tasks", TASK, out=out), "low.updates=1000000000"]
-    arguments.remove("low.updates=3000")
+    arguments.remove("low.updates=2000")
     process = subprocess.Popen([sys.executable, "-m", "guider", *arguments], stderr=subprocess.PIPE, text=True)
     run = out / "runs" / TASK / "guider-fast"
     deadline = time.monotonic() + 120
