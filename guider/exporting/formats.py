@@ -28,7 +28,8 @@ import onnxruntime
 
 session = onnxruntime.InferenceSession({name!r})
 about = json.loads(session.get_modelmeta().custom_metadata_map["guider"])  # what it was trained on, units, bounds
-memory = {{given.name: np.zeros(given.shape, {{"tensor(float)": np.float32, "tensor(int32)": np.int32}}[given.type])
+types = {{"tensor(float)": np.float32, "tensor(int32)": np.int32, "tensor(bool)": bool}}
+memory = {{given.name: np.zeros(given.shape, types[given.type])
           for given in session.get_inputs() if given.name.startswith("memory_")}}
 begins = True  # an episode does, or the goal is another one
 goal = np.zeros({goal_dim}, np.float32)  # where to go: state entries {goal_indices}
@@ -65,9 +66,8 @@ def write_onnx(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
     model = helper.make_model(graph, opset_imports=[opset], ir_version=_IR_VERSION, producer_name="guider")
     helper.set_model_props(model, {ABOUT: json.dumps(about)})
     onnx.checker.check_model(model, full_check=True)
+    example = _beside(path, f"{path.stem}_example.py", EXAMPLE.format(name=path.name, **about))
     files.write_bytes(path, model.SerializeToString())
-    example = path.with_name(f"{path.stem}_example.py")
-    files.write_text(example, EXAMPLE.format(name=path.name, **about))
     return [path, example]
 
 
@@ -81,10 +81,9 @@ def write_npz(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
         "nodes": program.nodes,
         "constants": list(program.constants),
     }
+    beside = _beside(path, "guider_actor.py", Path(actor.__file__).read_text())
     with files.replacing(path) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, program=np.array(json.dumps(told)), **program.constants)
-    beside = path.with_name("guider_actor.py")
-    files.write_text(beside, Path(actor.__file__).read_text())
     return [path, beside]
 
 
@@ -102,6 +101,15 @@ FORMATS: dict[str, Callable[[Path, Policy, dict[str, Any]], list[Path]]] = {
     ".safetensors": write_safetensors,
 }
 """By the ending of the file's name."""
+
+
+def _beside(path: Path, name: str, text: str) -> Path:
+    """The file of that name in the same folder, written; one that holds something else is left alone."""
+    beside = path.with_name(name)
+    if beside.exists() and beside.read_bytes() != text.encode():
+        raise GuiderError(f"{beside} is there already and holds something else; remove it, or export to another folder")
+    files.write_text(beside, text)
+    return beside
 
 
 def _onnx_attributes(helper: Any, attributes: dict[str, Any]) -> dict[str, Any]:

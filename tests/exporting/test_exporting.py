@@ -152,6 +152,10 @@ def test_the_example_beside_an_onnx_file_runs(tmp_path, monkeypatch, capsys):
     export_policy(policy_of("guider"), ABOUT, tmp_path / "walker.onnx")
     example = tmp_path / "walker_example.py"
     assert len(example.read_text().splitlines()) <= 24
+    (tmp_path / "second_example.py").write_text("mine")
+    with pytest.raises(GuiderError, match=r"second_example\.py is there already and holds something else"):
+        export_policy(policy_of("bc"), ABOUT, tmp_path / "second.onnx")
+    assert not (tmp_path / "second.onnx").exists() and (tmp_path / "second_example.py").read_text() == "mine"
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(example))
     assert len(capsys.readouterr().out.splitlines()) == 10
