@@ -3,8 +3,8 @@
     GUIDER_METHODS=docs/own_method.py guider train pointmaze-umaze --data FILE --method linear --seeds 2
     GUIDER_METHODS=docs/own_method.py guider evaluate runs/pointmaze-umaze-linear-fast
 
-All that is done with a method is done with it: several seeds at once, exact resume, scores, tables. A package offers
-its methods as entry points of the group `guider.methods` instead, each a module with METHODS.
+All that is done with a method is done with it: several seeds at once, exact resume, scores, tables, `guider export`. A
+package offers its methods as entry points of the group `guider.methods` instead, each a module with METHODS.
 """
 
 from __future__ import annotations

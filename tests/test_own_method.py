@@ -13,6 +13,7 @@ import guider
 from guider import runs
 from guider.cli import main
 from guider.errors import GuiderError
+from guider.exporting.actor import Actor
 from guider.methods import find_method
 from guider.support import plugins
 from guider.support.files import parse_json
@@ -25,7 +26,7 @@ def own(monkeypatch) -> None:
     monkeypatch.setenv("GUIDER_METHODS", str(FILE))
 
 
-def test_it_trains_resumes_scores_and_acts(own, tmp_path):
+def test_it_trains_resumes_scores_acts_and_leaves(own, tmp_path):
     logs = make_ragged([20] * 10, recorded_goals=False)
 
     def cut(chunk, state):
@@ -46,6 +47,8 @@ def test_it_trains_resumes_scores_and_acts(own, tmp_path):
     assert action.shape == (2,) and np.isfinite(action).all()
     with pytest.raises(GuiderError, match="linear has no subgoals"):
         _ = guider.load(run).subgoal
+    out, _ = guider.export(run, tmp_path / "linear.npz")
+    np.testing.assert_allclose(Actor(out).act(logs.observations[0], [1.0, 2.0]), action, atol=1e-5)
 
 
 def test_it_is_compared_with_others(own, tmp_path, capsys):

@@ -2,6 +2,8 @@
 
 from mutants.mutation import Table
 
+_COMPARED = "evaluation/test_comparison.py"
+
 TABLE: Table = {
     "guider/goals.py": [
         ("arrays.sqrt(arrays.stack(sums, axis=-1))", "arrays.stack(sums, axis=-1)", "test_goals.py"),
@@ -49,6 +51,12 @@ TABLE: Table = {
         ("[0.025, 0.975]", "[0.05, 0.95]", "evaluation/test_statistics.py"),
         ("size=(RESAMPLES, seeds, tasks)), np", "size=(RESAMPLES, seeds, 1)), np", "evaluation/test_statistics.py"),
         ("np.arange(tasks)]", "rng.permutation(tasks)]", "evaluation/test_statistics.py"),
+    ],
+    "guider/evaluation/comparison.py": [
+        ("result.get(name) != first.get(name)", "name == 'task' and result.get(name) != first.get(name)", _COMPARED),
+        ("size=(500, seeds, 1))", "size=(500, 1, 1)) * 0 + np.arange(seeds)[None, :, None]", _COMPARED),
+        ("if paired and len", "if not paired and len", _COMPARED),
+        ("[0.025, 0.975]", "[0.05, 0.95]", _COMPARED),
     ],
     "guider/evaluation/heldout.py": [
         ("rows + period_steps, last[rows]", "rows + 1, last[rows]", "evaluation/test_heldout.py"),
