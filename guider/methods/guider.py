@@ -171,12 +171,9 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
         rate = cosine_rate(settings.learning_rate, settings.decay, settings.updates, state.low.optimiser)
         return learner(settings.learner).update(settings.learner, state.low, transitions, update_key, rate)
 
-    def build_routes(state: GuiderState, data: Data, key: jax.Array):
-        return routes.build(config.routes, data, config.problem)
-
     return (
         Stage("latent subgoals", "latent", config.latent.updates, update_latent),
-        Stage("routes", "high", 1, build_routes)
+        Stage("routes", "high", 1, lambda state, data, key: routes.build(config.routes, data, config.problem))
         if config.planner == "routes"
         else Stage("subgoal policy", "high", config.high.updates, update_high),
         Stage("goal policy", "low", config.low.updates, update_low),
@@ -255,11 +252,10 @@ def act(
     acting: ActingState,
     reset_mask: jax.Array,
 ) -> tuple[jax.Array, ActingState]:
-    """One step of the hierarchy, by the means of both policies.
+    """One step of the hierarchy, by the means of both policies: (actions [B, A] in [-1, 1], the new acting state).
 
-    observation: [B, S]; goal: [B, G]; reset_mask: [B] bool, True where an episode begins.
-    Returns actions [B, A] in [-1, 1] and the new acting state. A new subgoal is chosen at resets, after c
-    steps, and, with replan == "reached", once the current one lies within reach_radius.
+    observation: [B, S]; goal: [B, G]; reset_mask: [B] bool, True where an episode begins. A new subgoal is chosen
+    there, after c steps, and, with replan == "reached", once the current one lies within reach_radius.
     """
     problem = config.problem
     achieved = observation[..., jnp.asarray(goal_indices)]
@@ -322,9 +318,9 @@ SUBGOALS = Subgoals(
 
 
 def metric_labels(config: GuiderConfig) -> dict[str, str]:
-    in_spreads = config.latent.error_in_spreads and config.view.normalise
+    unit = "c-step spreads" if config.latent.error_in_spreads and config.view.normalise else "goal units"
     return {
-        "squared_error": f"squared error per entry ({'c-step spreads' if in_spreads else 'goal units'}²)",
+        "squared_error": f"squared error per entry ({unit}²)",
         "kl": "KL of posterior and prior (nats per entry)",
         "divergence": "KL of policy and prior (nats per entry)" if config.high.prior else "log density of policy",
     }

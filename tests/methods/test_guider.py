@@ -24,7 +24,6 @@ from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, guider_config
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.policy import Policy, act, initial_state
-from guider.methods.routes import Routes
 from guider.methods.view import Scale, ViewConfig, prepare
 from guider.support.config import differences, from_dict, override, to_dict
 
@@ -139,7 +138,7 @@ def test_low_inputs_and_reward_by_hand():
 def test_high_relabelling_by_hand():
     """z is drawn from the posterior of the true pair, and the reward is for meeting the goal after c steps."""
     config = guider_config("paper", Problem(0.5, 1.0, 5))
-    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(0))
     now, later = jnp.zeros((2, 2)), jnp.array([[3.0, 0.0], [3.0, 0.0]])
     goal = jnp.array([[3.3, 0.0], [4.0, 0.0]])
     seen = method.relabel_high(config, state, HighBatch(now, later, goal), jax.random.key(1))
@@ -159,18 +158,20 @@ def test_coverage_is_the_share_within_the_priors_central_95_percent(monkeypatch)
     monkeypatch.setattr(latent_subgoals, "prior", lambda p, s, here: Gaussian(0 * here, 0 * here + jnp.log(2.0)))
     moves = jnp.array([[1.0], [3.5], [-3.9], [3.95], [-5.0]])
     config, state = GuiderConfig().latent, jnp.zeros(0)
-    covered = latent_subgoals.coverage(config, cast(Any, state), _unit(), jnp.ones((5, 1)), 1 + moves)
+    covered = latent_subgoals.coverage(config, cast(Any, state), plain_scale(), jnp.ones((5, 1)), 1 + moves)
     assert float(covered) == pytest.approx(3 / 5)
 
 
 def test_targets_start_as_copies_of_the_critics():
-    state = method.init(guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, _unit(), jax.random.key(1))
+    state = method.init(
+        guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, plain_scale(), jax.random.key(1)
+    )
     for part in (state.high, state.low):
         pairs = zip(jax.tree.leaves(part.params.critic), jax.tree.leaves(part.target_critic), strict=True)
         assert all(jnp.array_equal(a, b) for a, b in pairs)
 
 
-def _unit() -> Scale:
+def plain_scale() -> Scale:
     return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
 
 
@@ -178,7 +179,7 @@ def constant_policy(**acting) -> Policy:
     """Untrained policy whose networks are zero: it proposes its own position and never moves."""
     config = tiny(replace(guider_config("paper", Problem(0.5, 1.0, 3)), **acting))
     config = replace(config, latent=replace(config.latent, relative=True))
-    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(0))
     state = state._replace(
         latent=jax.tree.map(jnp.zeros_like, state.latent),
         high=jax.tree.map(jnp.zeros_like, state.high),
@@ -258,7 +259,7 @@ def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_choo
 
 def test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen():
     config = override(guider_config("paper", Problem(0.5, 1.0, 5)), {"low.subgoal_input": "latent"})
-    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
+    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(0))
     state = state._replace(latent=jax.tree.map(lambda leaf: leaf + 0.1, state.latent))
     here, chosen_at, subgoal = jnp.ones((1, 2)), jnp.array([[-3.0, 2.0]]), jnp.array([[4.0, 0.0]])
     batch = LowBatch(
@@ -354,49 +355,9 @@ def test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units():
 
     def loss(config, unit):
         ones = unit * jnp.ones(2)
-        scale = _unit()._replace(goal_std=ones, step_std=0.3 * ones)
+        scale = plain_scale()._replace(goal_std=ones, step_std=0.3 * ones)
         return latent_subgoals.loss(config, params, scale, Windows(unit * achieved, unit * later), jax.random.key(2))[0]
 
     assert jnp.allclose(loss(config, 1.0), loss(config, 100.0), rtol=1e-5)
     in_units = replace(config, error_in_spreads=False)
     assert loss(in_units, 100.0) > 100 * loss(in_units, 1.0)
-
-
-def test_routes_choose_in_the_policys_stead():
-    """There and back along ten metres, eight times: a subgoal is a logged place within 0.7 of c = 5 steps, and value
-    is minus the steps that are left. No pi_h is trained."""
-    ahead = np.stack([np.arange(11.0), np.zeros(11)], axis=1)
-    rows = np.concatenate([ahead, ahead[::-1]] * 8).astype(np.float32)
-    logs = make_episodes(rows, np.zeros((len(rows), 1), np.float32), [11] * 16, (0, 1))
-    small = {"routes.places": 30, "latent.hidden": (8,), "low.hidden": (8,)}
-    config = override(guider_config("fast", Problem(0.5, 1.0, 5), planner="routes"), small)
-    stages = method.stages(config)
-    assert [stage.name for stage in stages] == ["latent subgoals", "routes", "goal policy"]
-    data, scale = prepare(config.view, config.problem, logs)
-    state = method.init(config, logs.spaces, scale, jax.random.key(0))
-    routes, metrics = stages[1].update(state, data, jax.random.key(0))
-    assert metrics["places"] == 11 and metrics["reachable"] == 1
-    state = state._replace(high=routes)
-    here, goal = jnp.array([[2.0, 0.0], [8.0, 0.0]]), jnp.array([[9.0, 0.0], [1.0, 0.0]])
-    subgoal, latent = method.propose_subgoal(config, state, here, goal)
-    np.testing.assert_array_equal(subgoal, [[5, 0], [5, 0]])
-    assert latent.shape == (2, 2)
-    proposed, worth = method.SUBGOALS.propose(config, state, here, here, goal)
-    np.testing.assert_array_equal(proposed, subgoal)
-    np.testing.assert_array_equal(worth, [-7, -7])
-    assert method.acts_by(config).startswith("logged place nearest to the goal")
-
-
-def test_routes_serve_a_low_level_that_sees_latents():
-    """Without decoder, the next place is encoded where it is chosen."""
-    config = override(
-        guider_config("paper", Problem(0.5, 1.0, 5)), {"planner": "routes", "low.subgoal_input": "latent"}
-    )
-    state = method.init(config, make_ragged().spaces, _unit(), jax.random.key(0))
-    edges = jnp.array([[0.0, 2.0], [2.0, 0.0]])
-    state = state._replace(high=Routes(jnp.array([[0.0, 0.0], [3.0, 0.0]]), edges, edges))
-    here, goal = jnp.array([[0.0, 0.0]]), jnp.array([[3.2, 0.0]])
-    subgoal, latent = method.propose_subgoal(config, state, here, goal)
-    np.testing.assert_array_equal(subgoal, goal)  # two steps on
-    expected = latent_subgoals.encode(config.latent, state.latent.params, state.scale, here, goal).mean
-    np.testing.assert_array_equal(latent, expected)
