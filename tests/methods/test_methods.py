@@ -144,7 +144,7 @@ def stages(tmp_path_factory) -> Path:
 def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(method, stages, tmp_path):
     """The corridor is 20 m long."""
     crossing = CROSSINGS.get(method, NEAR)
-    small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
+    small = settings(method, updates=1000, hidden=(32, 32), batch_size=64)
     small |= {name: str(value) for name, value in crossing.settings.items()}
     logs = corridor()
 
