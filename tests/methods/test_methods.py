@@ -88,9 +88,9 @@ class Crossing(NamedTuple):
 NEAR = Crossing(6, 25, {"view.minimum_move": PROBLEM.reach_radius})  # not where it is pushed against an end
 """Of methods without subgoals or skills; the others' is longer than most recorded episodes go."""
 _GUIDER = Crossing(
-    15, 40, {"latent.updates": 1000, "latent.latent_dim": 1, "high.updates": 1000, "high.target_rate": 0.02}
+    15, 40, {"latent.updates": 1000, "latent.latent_dim": 1, "high.updates": 2000, "high.target_rate": 0.02}
 )
-_HIQL = Crossing(15, 40, {"subgoal_steps": 5, "value.updates": 1500}, nearer_is_better)
+_HIQL = Crossing(15, 40, {"subgoal_steps": 5, "value.updates": 3000}, nearer_is_better)
 _OPAL = Crossing(
     15,
     60,
@@ -144,7 +144,7 @@ def stages(tmp_path_factory) -> Path:
 def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(method, stages, tmp_path):
     """The corridor is 20 m long."""
     crossing = CROSSINGS.get(method, NEAR)
-    small = settings(method, updates=1000, hidden=(32, 32), batch_size=64)
+    small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
     small |= {name: str(value) for name, value in crossing.settings.items()}
     logs = corridor()
 
