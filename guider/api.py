@@ -170,8 +170,9 @@ def load(run: str | Path | Run, seed: int | None = None) -> Agent:
 
 def evaluate(run: str | Path | Run, **options: Any) -> dict[str, Any]:
     """Score a finished run's last checkpoint (options and result: see `score`) and write evaluation.json into it."""
-    result = score(run, **options)
-    keep_score(run, result)
+    opened = runs.as_run(run)
+    result = score(opened, **options)
+    keep_score(opened, result)
     return result
 
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from guider.errors import GuiderError
-from guider.evaluation.statistics import probability_of_improvement
+from guider.evaluation.statistics import RESAMPLES, probability_of_improvement
 from guider.support import files
 
 SAME = ("task", "environment", "unit", "radius", "horizon_steps", "episodes_per_seed", "checkpoint")
 """What scores must share to stand beside each other."""
-RESAMPLES = 10_000
 
 
 def kept_score(run: Path) -> dict[str, Any]:

@@ -108,7 +108,7 @@ class Actor:
             for function, inputs, outputs, attributes in self._nodes:
                 result = function(attributes, *(values[name] for name in inputs))
                 values.update(zip(outputs, result if isinstance(result, list) else [result], strict=True))
-        results = {name: values[place] for name, place in self._outputs.items()}
+        results = {name: values[name] for name in self._outputs}
         self._memory = {name: results[f"next_{name}"] for name in self._memory}
         self._begins, self.subgoal = np.array(False), results.get("subgoal")
         return results["action"]

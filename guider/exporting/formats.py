@@ -54,12 +54,11 @@ def write_onnx(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
         helper.make_node(node.operator, node.inputs, node.outputs, **_onnx_attributes(helper, node.attributes))
         for node in program.nodes
     ]
-    nodes += [helper.make_node("Identity", [place], [name]) for name, (place, _) in program.outputs.items()]
     graph = helper.make_graph(
         nodes,
         "policy",
         [tensor(name, array.shape, array.dtype) for name, array in program.inputs.items()],
-        [tensor(name, kind.shape, kind.dtype) for name, (_, kind) in program.outputs.items()],
+        [tensor(name, kind.shape, kind.dtype) for name, kind in program.outputs.items()],
         [onnx.numpy_helper.from_array(array, name) for name, array in program.constants.items()],
     )
     opset = helper.make_opsetid("", _OPSET)
@@ -77,7 +76,7 @@ def write_npz(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
     told = {
         "about": about,
         "inputs": {name: (array.tolist(), array.dtype.name) for name, array in program.inputs.items()},
-        "outputs": {name: place for name, (place, _) in program.outputs.items()},
+        "outputs": list(program.outputs),
         "nodes": program.nodes,
         "constants": list(program.constants),
     }

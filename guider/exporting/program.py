@@ -28,11 +28,11 @@ class Node(NamedTuple):
 
 @dataclass(frozen=True)
 class Program:
-    """inputs: an array of the shape and type of each, by name; outputs: name -> (where nodes put it, shape and type);
-    constants: what nodes refer to besides."""
+    """inputs: an array of the shape and type of each, by name; outputs: shape and type of each, by the name that a node
+    gives it; constants: what nodes refer to besides."""
 
     inputs: dict[str, np.ndarray]
-    outputs: dict[str, tuple[str, jax.ShapeDtypeStruct]]
+    outputs: dict[str, jax.ShapeDtypeStruct]
     nodes: tuple[Node, ...]
     constants: dict[str, np.ndarray]
 
@@ -48,9 +48,10 @@ def read(function: Callable[..., Sequence[jax.Array]], inputs: dict[str, np.ndar
     results = writer.follow(traced, list(inputs))
     named = {}
     for name, value, variable in zip(outputs, results, traced.jaxpr.outvars, strict=True):
-        copied = writer.node("Identity", value)  # an output has a name of its own, even where it is an input
-        named[name] = (copied, jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype))
-    nodes, needed = [], {place for place, _ in named.values()}
+        # An output has a name of its own, even where it is an input.
+        writer.nodes.append(Node("Identity", (writer.name(value),), (name,), {}))
+        named[name] = jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype)
+    nodes, needed = [], set(named)
     for node in reversed(writer.nodes):
         if needed.intersection(node.outputs):
             nodes.append(node)

@@ -188,7 +188,7 @@ def program_of(function: Any, *inputs: np.ndarray) -> list[np.ndarray]:
         with np.errstate(all="ignore"):
             result = actor.OPERATORS[node.operator](node.attributes, *(values[name] for name in node.inputs))
         values.update(zip(node.outputs, result if isinstance(result, list) else [result], strict=True))
-    return [values[place] for place, _ in program.outputs.values()]
+    return [values[name] for name in program.outputs]
 
 
 ROWS = np.arange(24, dtype=np.float32).reshape(2, 3, 4) - 7.5
