@@ -10,6 +10,7 @@ from typing import Any, Unpack
 
 from guider import data as data_sources
 from guider import runs
+from guider.data import layouts
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError
 from guider.evaluation.rollouts import rollout
@@ -21,7 +22,7 @@ from guider.learning.windows import no_window
 from guider.methods.policy import Agent
 from guider.methods.view import data_use, learned_windows
 from guider.runs import Pace, Run, RunSpec
-from guider.runs.asked import check, find_data, number, settle, whole
+from guider.runs.asked import check, find_data, number, reading_of, settle, whole
 from guider.runs.source import lasting, same_data
 from guider.support import files
 from guider.support.files import user_path
@@ -90,8 +91,7 @@ def train(
     spec = RunSpec(
         task=task,
         data=lasting(data, episodes),
-        format=asked.get("format"),
-        episode_ends=tuple(asked.get("episode_ends", ())),
+        reading=reading_of(options),
         fingerprint=episodes.fingerprint(),
         held_out=held_out,
         method=asked["method"],
@@ -131,6 +131,40 @@ def inspect(data: str | Path, *, task: str | None = None, **options: Unpack[Lear
             "data_use": f"{use}{refused}",
         }
     }
+
+
+def convert(
+    data: str | Path,
+    out: str | Path,
+    layout: str | None = None,
+    *,
+    fps: float = 10.0,
+    report: Callable[[int, int], None] = lambda done, total: None,
+    **options: Unpack[LearningOptions],
+) -> str:
+    """Read logged data and write it in another layout (see `save_data`), which is returned. options: those of
+    LearningOptions that say how it is read. Where nobody names the goal space, it is assumed to be the first entries of
+    a state."""
+    reads = {"goal_indices", "goal", "state", "action", "format", "episode_ends"}
+    if other := sorted(options.keys() - reads):
+        raise GuiderError(
+            f"--{other[0].replace('_', '-')} says how to train, and nothing is trained here; leave it out"
+        )
+    episodes = find_data(None, data, options, assumed_goal=(0,))
+    return save_data(episodes, out, layout, fps=fps, report=report)
+
+
+def save_data(
+    episodes: Episodes,
+    path: str | Path,
+    layout: str | None = None,
+    *,
+    fps: float = 10.0,
+    report: Callable[[int, int], None] = lambda done, total: None,
+) -> str:
+    """Write episodes to a new file or directory; see guider.data.layouts. What `plain` writes, an npz, `load_data`
+    reads back as it was: runs on it can be resumed, evaluated and plotted."""
+    return layouts.save(episodes, user_path(path), layout, fps=fps, report=report)
 
 
 def run_directory(task: str | None, out: str | Path | None, options: LearningOptions) -> Path:

@@ -85,7 +85,7 @@ def test_a_task_takes_episodes_of_its_own_goal_space(started):
         ({"radius": None}, "say how near to a goal counts as met"),
         ({"radius": 100.0}, r"no episode gets further than .* in goal space, .* choose a smaller radius"),
         ({"held_out": 1.0}, "--held-out is a fraction"),
-        ({"format": "arrays"}, "format and episode_ends say how to read a file"),
+        ({"format": "arrays"}, "say how to read a file"),
         ({"out": "\0"}, "is no path"),
     ],
 )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from guider.collect.reaching import FINGER_LIMIT_M, TURN_LIMIT_RAD_S, Arm, Hand, act
-from guider.data.kitchen import kitchen_states
+from guider.data.readers.kitchen import kitchen_states
 
 EPISODE_STEPS = 280
 ATTEMPTS = 2

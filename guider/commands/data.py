@@ -14,25 +14,33 @@ from guider.learning.options import LearningOptions
 
 
 def data(
-    action: tyro.conf.Positional[Literal["inspect", "fetch"]],
+    what: tyro.conf.Positional[Literal["inspect", "convert", "fetch"]],
     source: tyro.conf.Positional[str | None] = None,
+    destination: tyro.conf.Positional[Path | None] = None,
     task: str | None = None,
     out: Path | None = None,
     mirror: str | None = None,
+    layout: str | None = None,
+    fps: float = 10.0,
     as_json: Json = False,
     **learning: Unpack[LearningOptions],
 ) -> None:
-    """Look at logged data, or fetch what others published.
+    """Look at logged data, convert it, or fetch what others published.
 
     `guider data inspect SOURCE` reads it as training would and says what it holds; with --task or --radius also what
-    share of it training would learn from. `guider data fetch` lists what can be fetched; `guider data fetch NAME`
-    fetches and checks it, going on where an earlier download broke off.
+    share of it training would learn from. `guider data convert SOURCE OUT` writes it in another layout: OUT.npz (plain,
+    or --layout ogbench), OUT.hdf5 (D4RL's), OUT (a Minari directory, or --layout lerobot). `guider data fetch` lists
+    what can be fetched; `guider data fetch NAME` fetches and checks it, going on where an earlier download broke off.
 
     Args:
-        action: inspect or fetch.
-        source: What to inspect: HDF5, npz, a pickle of WGCSL's, a Minari directory or minari:ID. Or a name to fetch.
+        what: inspect, convert or fetch.
+        source: What to look at: HDF5, npz, CSV, parquet, a pickle, a folder (LeRobot's, Minari's, a file an episode) or
+            minari:ID. Or a name to fetch.
+        destination: convert: the new file or directory.
         task: inspect: the benchmark that it is for.
         out: fetch: directory for the files; by default GUIDER_DATA, or else ~/.cache/guider.
+        layout: convert: plain (npz, nothing is lost), d4rl, ogbench, minari or lerobot; by default as OUT ends.
+        fps: convert: steps a second, for LeRobot's.
         mirror: fetch: URL of a folder that holds the files under their own names, tried first.
         as_json: Print one JSON document instead of text.
     """
@@ -40,11 +48,20 @@ def data(
     from guider.data.catalogue import CATALOGUE, find_dataset
     from guider.data.download import fetch
 
-    if action == "fetch" and (task is not None or learning):
+    if what == "fetch" and (task is not None or learning or destination is not None):
         raise GuiderError("guider data fetch takes --out and --mirror only; the other options are for inspect")
-    if action == "inspect" and (out is not None or mirror is not None):
-        raise GuiderError("guider data inspect takes no --out and no --mirror; they are for fetch")
-    if action == "inspect":
+    if what != "fetch" and (out is not None or mirror is not None):
+        raise GuiderError(f"guider data {what} takes no --out and no --mirror; they are for fetch")
+    if what != "convert" and (destination is not None or layout is not None):
+        raise GuiderError(f"guider data {what} writes nothing; a second name and --layout are for convert")
+    if what == "convert":
+        if source is None or destination is None:
+            raise GuiderError("say what to convert, and to what: guider data convert SOURCE OUT")
+        with bar("writing", "episodes") as show:
+            written = api.convert(source, destination, layout, fps=fps, report=show, **learning)
+        path = str(destination)
+        answer({"source": source, "written": path, "layout": written}, f"{path} is complete ({written})", as_json)
+    elif what == "inspect":
         if source is None:
             raise GuiderError("say what to inspect: guider data inspect SOURCE")
         description = api.inspect(source, task=task, **learning)

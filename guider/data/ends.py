@@ -20,7 +20,8 @@ LAST_ROWS = ("dones", "done", "episode_terminals", "is_last")
 TERMINALS = ("terminals", "terminal", "terminated", "terminateds", "terminations")
 FLAGS = (*TRUNCATIONS, *LAST_ROWS, *TERMINALS)
 NEXT_STATES = ("next_observations", "next_observation", "next_obs")
-TIMES = ("timestamps", "timestamp", "times", "time")
+TIMES = ("timestamps", "timestamp", "times", "time", "time_s", "stamp")
+MARKS = (*STATED, *NUMBERS, *FLAGS, *NEXT_STATES)
 JUMPS = "jumps"
 
 _GAP_STEPS, _GAP_FACTOR, _BACK_STEPS = 20.0, 4.0, 5.0
@@ -63,6 +64,10 @@ def find_ends(
     and where nothing says where episodes end.
     """
     rows = len(observations)
+    if store.lengths is not None:
+        if chosen:
+            raise GuiderError(f"{store.source} states its episodes; leave --episode-ends out")
+        return Ends(store.lengths, (EndSign("episodes of the source", len(store.lengths)),))
     if chosen:
         return _chosen_ends(store, observations, achieved, chosen)
     marks = _marks(store, observations)
@@ -128,7 +133,8 @@ def find_ends(
 def _chosen_ends(store: Store, observations: np.ndarray, achieved: np.ndarray | None, chosen: tuple[str, ...]) -> Ends:
     """The user's word: these signs, whatever others say."""
     rows = len(observations)
-    there = [name for name in (LENGTHS, *STATED, *NUMBERS, *FLAGS, *NEXT_STATES, *TIMES) if name in store.keys]
+    there = [name for name in (LENGTHS, *MARKS, *TIMES) if name in store.keys]
+    there += [name for name in chosen if name not in there and store.column(name, rows) is not None]
     if unknown := [name for name in chosen if name not in (*there, JUMPS)]:
         raise store.fail(
             f"no sign of episode ends is called {unknown[0]!r} here; {names_like(unknown[0], [*there, JUMPS])}"
@@ -197,7 +203,8 @@ def _marks(store: Store, observations: np.ndarray, only: tuple[str, ...] = ()) -
             marks[name][last[(last >= 0) & (last < rows)].astype(np.int64)] = True
     for name in wanted((*STATED, *FLAGS)):
         marks[name] = store.flags(name, rows)
-    for name in wanted(NUMBERS):
+    numbered = tuple(name for name in only if name not in (LENGTHS, *MARKS, *TIMES))
+    for name in wanted((*NUMBERS, *numbered)):
         if (numbers := store.column(name, rows)) is not None:
             changes = numbers[1:] != numbers[:-1]
             runs = int(np.sum(changes)) + 1

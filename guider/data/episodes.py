@@ -23,7 +23,8 @@ class Spaces:
     """What a policy's inputs and outputs look like.
 
     state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds;
-    state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known.
+    state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known;
+    state_names, action_names: of the entries, () where they have none.
     """
 
     state_dim: int
@@ -32,6 +33,8 @@ class Spaces:
     action_high: tuple[float, ...]
     state_low: tuple[float, ...] = ()
     state_high: tuple[float, ...] = ()
+    state_names: tuple[str, ...] = ()
+    action_names: tuple[str, ...] = ()
 
     @property
     def goal_dim(self) -> int:
@@ -70,6 +73,7 @@ class Episodes:
     source:       where the data came from, for people to read
     end_signs:    what said where episodes end, for people to read
     goal_space_from: who named the goal space: whoever asked for the data, its source, or nobody (it is assumed)
+    state_names, action_names: of the entries, () where the source has no names
     """
 
     observations: np.ndarray
@@ -82,6 +86,8 @@ class Episodes:
     source: str
     end_signs: tuple[EndSign, ...] = ()
     goal_space_from: GoalSpaceFrom = "asked for"
+    state_names: tuple[str, ...] = ()
+    action_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "goals"):
@@ -117,6 +123,8 @@ class Episodes:
             action_high=tuple(map(float, self.action_high)),
             state_low=tuple(map(float, low)),
             state_high=tuple(map(float, high)),
+            state_names=self.state_names,
+            action_names=self.action_names,
         )
 
     def fingerprint(self) -> str:
@@ -175,6 +183,7 @@ _FEW_SINGLE, _SINGLE_FRACTION = 10, 0.01
 _BLOCK_ROWS = 1 << 16
 _MOST_LOST = 0.01
 _FAR_FROM_ZERO = 4096.0
+_SMALL_ACTIONS = 0.1  # of the unit box
 _BOUND_TOLERANCE = 2e-3  # rounding, in the unit box; relative to half the range elsewhere
 
 
@@ -195,8 +204,8 @@ def make_episodes(
     observations: [rows, state_dim]; actions: [rows, action_dim], one row per state;
     lengths: [episodes] states per episode, sum == rows. Episodes of a single state hold no transition and
     are dropped. The action in the last row of an episode may be anything, NaN too: it is set to 0, so that
-    equal data are equal whatever a source writes there. Action bounds that are not given are inferred:
-    [-1, 1] where all actions lie within it but for rounding, else the extremes seen.
+    equal data are equal whatever a source writes there. Action bounds that are not given are inferred (see
+    _usual_bounds): [-1, 1] where all actions lie within it but for rounding, else the extremes seen.
 
     Raises GuiderError, naming `source` and the offending array, on NaN or inf, wrong shapes, lengths that
     disagree, goal indices out of range, actions outside the bounds given, or no episode of two states.
@@ -329,16 +338,34 @@ def to_float32(array: Any, name: str, source: str) -> np.ndarray:
 def _check_finite(array: np.ndarray, name: str, fail) -> None:
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
-        raise fail(f"{name} hold NaN or inf in {np.sum(~finite)} rows, first in row {np.argmin(finite)}")
+        entries = np.flatnonzero(~np.isfinite(array).all(axis=0))
+        listed = ", ".join(map(str, entries[:8])) + (" and others" if len(entries) > 8 else "")
+        raise fail(
+            f"{name} hold NaN or inf in {np.sum(~finite)} rows, first in row {np.argmin(finite)} (entries {listed}); "
+            "fill them in from their neighbours, leave those rows out, or take other columns"
+        )
+
+
+def _usual_bounds(seen_low: np.ndarray, seen_high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[A] bounds that nobody gave, from the extremes seen.
+
+    Where all actions lie in the unit box but for rounding they are [-1, 1], and of an entry that never changes sign (a
+    throttle) one side of that; the extremes themselves elsewhere (physical units), and for an entry that stays within a
+    tenth of the box. An entry of the unit box that never changes (a gripper that was not used) is [-1, 1] in either
+    case.
+    """
+    in_box = (seen_low >= -1 - _BOUND_TOLERANCE) & (seen_high <= 1 + _BOUND_TOLERANCE)
+    still = seen_low == seen_high
+    as_seen = ~in_box.all() | (np.maximum(-seen_low, seen_high) <= _SMALL_ACTIONS)
+    low = np.where(as_seen, seen_low, np.where(seen_low >= 0, 0.0, -1.0))
+    high = np.where(as_seen, seen_high, np.where(seen_high <= 0, 0.0, 1.0))
+    return np.where(still & in_box, -1.0, low), np.where(still & in_box, 1.0, high)
 
 
 def _action_bounds(actions: np.ndarray, low, high, fail) -> tuple[np.ndarray, np.ndarray]:
     seen_low, seen_high = actions.min(axis=0), actions.max(axis=0)
-    in_unit_box = bool(np.all(seen_low >= -1 - _BOUND_TOLERANCE) and np.all(seen_high <= 1 + _BOUND_TOLERANCE))
-    if low is None:
-        low = -1.0 if in_unit_box else seen_low
-    if high is None:
-        high = 1.0 if in_unit_box else seen_high
+    usual_low, usual_high = _usual_bounds(seen_low, seen_high)
+    low, high = usual_low if low is None else low, usual_high if high is None else high
     low, high = np.asarray(low, np.float32), np.asarray(high, np.float32)
     for bound in (low, high):
         if bound.shape not in ((), (1,), seen_low.shape):

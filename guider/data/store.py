@@ -1,12 +1,12 @@
-"""Named arrays in one HDF5 or npz file, read with checks; nothing here knows about episodes."""
+"""Named arrays, of one HDF5 or npz file or put together by a reader, read with checks."""
 
 from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,18 +22,24 @@ _DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, MemoryError, 
 
 @dataclass(frozen=True)
 class Store:
-    """An open file of arrays. Every read raises GuiderError, naming the file and the key, where it fails.
+    """What a source recorded, array by array. Every read raises GuiderError, naming the source and the key, where it
+    fails.
 
-    source: the file's path, for messages
-    kind:   "HDF5" or "npz"
-    arrays: what it declares of each by name, None for what is no array; a group's name and those of its arrays are
-            joined by '/', as in 'infos/goal'
+    source:  the file's path, for messages
+    kind:    what it is: "HDF5", "npz", "CSV", ...
+    arrays:  what it declares of each by name, None for what is no array; a group's name and those of its arrays are
+             joined by '/', as in 'infos/goal'
+    file:    where they are
+    entries: array -> names of its columns, where the source names them
+    lengths: [episodes] rows of each, where the source keeps episodes apart; None: to be found
     """
 
     source: str
     kind: str
     arrays: Mapping[str, Declared | None]
-    file: h5py.File | np.lib.npyio.NpzFile
+    file: h5py.File | np.lib.npyio.NpzFile | Mapping[str, np.ndarray]
+    entries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    lengths: np.ndarray | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -50,8 +56,8 @@ class Store:
             raise self.fail(f"missing {', '.join(missing)}; the file holds {describe_keys(self.keys)}")
 
     def width(self, key: str) -> int:
-        """Columns of a 2-D array; 0 if it has another shape."""
-        array = self.arrays[key]
+        """Columns of a 2-D array; 0 if it has another shape, or is not there."""
+        array = self.arrays.get(key)
         return array.shape[1] if array is not None and len(array.shape) == 2 else 0
 
     def admit(self, key: str) -> None:
@@ -106,13 +112,85 @@ class Store:
         return array.astype(bool)
 
     def column(self, key: str, rows: int) -> np.ndarray | None:
-        """[rows] numbers, None where there is no such array or it is something else."""
+        """[rows] numbers, None where there is no such array or it is something else. Of text, a number for each
+        word."""
         array = self.arrays.get(key)
+        if array is not None and array.kind == "U" and array.shape == (rows,):
+            return np.unique(np.asarray(self.file[key]), return_inverse=True)[1]
         fits = array is not None and array.kind in "fiub" and array.shape in ((rows,), (rows, 1))
         return self.vector(key) if fits else None
 
+    def numbers(self, key: str) -> np.ndarray | None:
+        """[rows] or [rows, columns] numbers; None where there are none such under this name."""
+        array = self.arrays.get(key)
+        if array is None or array.kind not in "fiub" or len(array.shape) not in (1, 2) or 0 in array.shape:
+            return None
+        return self.vector(key) if len(array.shape) == 1 else self.matrix(key)
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The words of a 1-D array of text, () where there is no such array."""
+        array = self.arrays.get(key)
+        return tuple(map(str, self.file[key])) if array is not None and array.kind == "U" else ()  # pyright: ignore[reportArgumentType]
+
     def _unreadable(self, key: str, error: Exception) -> GuiderError:
         return self.fail(f"cannot read {key}: the file is damaged or cut off ({_in_a_line(error)})")
+
+
+def store_of(
+    source: str,
+    kind: str,
+    arrays: Mapping[str, np.ndarray],
+    entries: Mapping[str, tuple[str, ...]] | None = None,
+    lengths: np.ndarray | None = None,
+) -> Store:
+    """A store of arrays that are in memory."""
+    declared = {key: Declared(item.shape, item.dtype.kind, item.itemsize, item.nbytes) for key, item in arrays.items()}
+    return Store(source, kind, declared, arrays, entries or {}, lengths)
+
+
+def in_memory(store: Store) -> dict[str, np.ndarray]:
+    """The arrays of a store that a reader put together."""
+    return {key: np.asarray(store.file[key]) for key in store.keys}
+
+
+def stacked(
+    source: str,
+    kind: str,
+    episodes: Iterable[tuple[str, Mapping[str, np.ndarray]]],
+    entries: Mapping[str, tuple[str, ...]] | None = None,
+) -> Store:
+    """A store of episodes that the source keeps apart.
+
+    episodes: (name, arrays) of each, in order: [rows, ...]. Arrays may be a row shorter than the longest of an episode,
+        as actions are that lead from state to state: their last row is then filled with zeros, and never read. Left out
+        is what is no vector of numbers in each row (pictures, text, what holds for a whole episode), and what not every
+        episode has.
+
+    Raises GuiderError where there are no episodes, or rows or widths disagree.
+    """
+    parts: dict[str, list[np.ndarray]] = {}
+    lengths: list[int] = []
+    for name, found in episodes:
+        arrays = {key: item for key, item in found.items() if item.ndim in (1, 2) and item.dtype.kind in "fiub"}
+        if not (rows := max(map(len, arrays.values()), default=0)):
+            raise GuiderError(f"{source}: {name} holds no rows of numbers")
+        arrays = {key: item for key, item in arrays.items() if len(item) >= min(rows - 1, rows / 2)}
+        for key, item in arrays.items():
+            if len(item) not in (rows, rows - 1):
+                raise GuiderError(f"{source}: {name} has {rows} rows, but {len(item)} of {key}")
+            if key in parts and item.shape[1:] != parts[key][0].shape[1:]:
+                raise GuiderError(
+                    f"{source}: {key} has rows of shape {item.shape[1:]} in {name}, {parts[key][0].shape[1:]} before"
+                )
+            filled = (
+                item if len(item) == rows else np.concatenate([item, np.zeros_like(item, shape=(1, *item.shape[1:]))])
+            )
+            parts.setdefault(key, []).append(filled)
+        lengths.append(rows)
+    if not lengths:
+        raise GuiderError(f"{source}: holds no episodes")
+    whole = {key: np.concatenate(items) for key, items in parts.items() if len(items) == len(lengths)}
+    return store_of(source, kind, whole, entries, np.array(lengths))
 
 
 def describe_keys(keys: tuple[str, ...]) -> str:
@@ -188,6 +266,7 @@ class Recording:
     end_signs:    what said where episodes end
     warning:      what was decided about that and may be wrong, in one line, or None
     goal_indices: the state entries that are the source's own goal space, None where it names none
+    state_names, action_names: of the entries, () where the source has no names
     """
 
     observations: np.ndarray
@@ -199,3 +278,5 @@ class Recording:
     end_signs: tuple[EndSign, ...] = ()
     warning: str | None = None
     goal_indices: tuple[int, ...] | None = None
+    state_names: tuple[str, ...] = ()
+    action_names: tuple[str, ...] = ()

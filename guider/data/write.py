@@ -43,7 +43,7 @@ def check_destination(out: Path, size: int) -> Literal["d4rl", "minari"]:
         )
     if os.path.lexists(out):
         raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
-    with _new(out, size):
+    with in_new_place(out, size):
         return "d4rl" if ending else "minari"
 
 
@@ -68,7 +68,7 @@ def write_d4rl(
     with h5py.File(content, "w") as file:
         for key, array in arrays.items():
             file.create_dataset(key, data=array)
-    with _new(path, len(content.getbuffer())) as partial:
+    with in_new_place(path, len(content.getbuffer())) as partial:
         partial.write_bytes(content.getbuffer())
         os.replace(partial, path)
 
@@ -116,7 +116,7 @@ def write_minari(
     arrays = recording.observations, recording.actions, *2 * [recording.goals]
     size = sum(array.nbytes for array in arrays if array is not None)
     size += FLAG_BYTES_PER_ROW * len(recording.observations) + MINARI_BYTES_PER_EPISODE * len(recording.lengths)
-    with _new(directory, size) as partial:
+    with in_new_place(directory, size) as partial:
         partial.mkdir()
         storage = MinariStorage.new(partial / "data", observation_space, action_space)
         storage.update_metadata(
@@ -170,7 +170,7 @@ def _rewards(recording: Recording, goal_indices: tuple[int, ...], radius: float,
 
 
 @contextmanager
-def _new(path: Path, size: int) -> Iterator[Path]:
+def in_new_place(path: Path, size: int) -> Iterator[Path]:
     """Where to write what is then renamed to `path`: within a folder beside it that lasts as long as this context.
 
     Raises GuiderError where there is no room for `size` bytes, and for any OSError in the context.

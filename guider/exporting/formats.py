@@ -14,6 +14,7 @@ from guider.exporting import actor
 from guider.exporting.controller import controller, parameters
 from guider.methods.policy import Policy
 from guider.support import files
+from guider.support.extras import extra
 
 ABOUT = "guider"
 """Under this name what `about` says stands in the metadata of ONNX and safetensors, as JSON."""
@@ -120,9 +121,5 @@ def _onnx_attributes(helper: Any, attributes: dict[str, Any]) -> dict[str, Any]:
 def _imported(name: str) -> Any:
     from importlib import import_module
 
-    try:
+    with extra("export", f"{name.partition('.')[0]}, which .npz does without,"):
         return import_module(name)
-    except ImportError:
-        raise GuiderError(
-            f"{name.partition('.')[0]} is not installed: pip install 'guider-rl[export]' (.npz needs nothing)"
-        ) from None

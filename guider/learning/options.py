@@ -22,6 +22,13 @@ class LearningOptions(TypedDict, total=False):
     goal_indices: Sequence[int]
     """Own data: the state entries that are the goal, e.g. 0 1 for x and y. Minari's goal observations name them
     themselves."""
+    goal: Sequence[str]
+    """Own data: the same by name, e.g. x y, where the data names its columns; * and ? stand for any letters."""
+    state: Sequence[str]
+    """The columns that are the state, by name, e.g. observation.state or left_arm_*; by default those usually called
+    so."""
+    action: Sequence[str]
+    """The columns that are the action, by name."""
     radius: float
     """Own data: a goal counts as met within this distance, in the units of those entries."""
     reach_radius: float

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from guider import data as data_sources
+from guider.data import AS_FOUND, Reading
+from guider.data.columns import entries_called
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError
 from guider.learning.options import LearningOptions, said
@@ -29,12 +31,14 @@ def check(task: str | None, settings: dict[str, Any] | None, options: LearningOp
     asked = said(options)
     benchmark = None if task is None else find_task(task)
     preset_config(asked["method"], asked["preset"], Problem())
-    if benchmark is not None and ("goal_indices" in asked or "radius" in asked):
-        raise GuiderError(f"{benchmark.name} fixes its goal entries and radius; leave --goal-indices and --radius out")
+    if benchmark is not None and {"goal_indices", "goal", "radius"} & asked.keys():
+        raise GuiderError(
+            f"{benchmark.name} fixes its goal entries and radius; leave --goal-indices, --goal and --radius out"
+        )
     if benchmark is None and "radius" not in asked:
         raise GuiderError(
             "without a task name, say how near to a goal counts as met (--radius 0.5) and which state entries are "
-            "the goal (--goal-indices 0 1)"
+            "the goal (--goal x y, or --goal-indices 0 1)"
         )
 
 
@@ -54,7 +58,7 @@ def find_data(
     goal_indices = asked.get("goal_indices")
     if benchmark is not None:
         goal_indices = None if isinstance(data, Episodes) else benchmark.goal_indices
-    episodes = episodes_of(data, goal_indices, asked.get("format"), asked.get("episode_ends", ()), assumed_goal)
+    episodes = episodes_of(data, goal_indices, asked.get("goal", ()), reading_of(options), assumed_goal)
     if benchmark is not None:
         if episodes.goal_indices != benchmark.goal_indices:
             raise GuiderError(
@@ -85,6 +89,13 @@ def settle(
     return problem, override(preset_config(asked["method"], asked["preset"], problem), settings or {})
 
 
+def reading_of(options: LearningOptions) -> Reading:
+    """How the data is to be read."""
+    asked = said(options)
+    names = {name: data_sources.as_names(asked.get(name, ())) for name in ("state", "action", "episode_ends")}
+    return Reading(asked.get("format"), **names)
+
+
 def problem_of(task: Task) -> Problem:
     """What a task asks to be learned."""
     return Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.domain)
@@ -93,17 +104,17 @@ def problem_of(task: Task) -> Problem:
 def episodes_of(
     data: str | Path | Episodes,
     goal_indices: Sequence[int] | None,
-    format: str | None = None,
-    episode_ends: Sequence[str] = (),
+    goal: Sequence[str] = (),
+    reading: Reading = AS_FOUND,
     assumed_goal: tuple[int, ...] | None = None,
 ) -> Episodes:
     """Those of a file or dataset (see `guider.load_data`), or the ones given."""
     if not isinstance(data, Episodes):
-        return data_sources.load(
-            data, goal_indices, format=format, episode_ends=episode_ends, assumed_goal=assumed_goal
-        )
-    if format is not None or episode_ends:
-        raise GuiderError("format and episode_ends say how to read a file; leave them out for Episodes")
+        return data_sources.load(data, goal_indices, goal=goal, **asdict(reading), assumed_goal=assumed_goal)
+    if reading != AS_FOUND:
+        raise GuiderError("format, state, action and episode_ends say how to read a file; leave them out for Episodes")
+    if goal:
+        goal_indices = entries_called(data.state_names, data.observations.shape[1], goal, data.source)
     return data if goal_indices is None else data.with_goal_space(goal_indices)
 
 

@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from guider.data import AS_FOUND, Reading
 from guider.data.episodes import Spaces
 from guider.errors import GuiderError
 from guider.learning.training import Position, seed_keys
@@ -34,8 +35,8 @@ from guider.runs import checkpoint
 from guider.support.config import from_dict, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 7
-EARLIER = (6,)
+FORMAT = 8
+EARLIER = (6, 7)
 """Read too: settings that came later have defaults that are what was done before."""
 
 
@@ -43,16 +44,14 @@ EARLIER = (6,)
 class RunSpec:
     """What determines a run, to the bit, on one machine.
 
-    task: benchmark task, None for one's own data; data: where the episodes came from; format: how they were read, None
-    if told by content; episode_ends: signs of where they end that were asked for, () if decided; fingerprint: of the
-    episodes trained on; held_out: fraction of episodes kept for `guider evaluate`; config: the method's settings;
-    spaces: dimensions and bounds.
+    task: benchmark task, None for one's own data; data: where the episodes came from; reading: how they were read;
+    fingerprint: of the episodes trained on; held_out: fraction of episodes kept for `guider evaluate`; config: the
+    method's settings; spaces: dimensions, names and bounds.
     """
 
     task: str | None
     data: str
-    format: str | None
-    episode_ends: tuple[str, ...]
+    reading: Reading
     fingerprint: str
     held_out: float
     method: str
@@ -172,6 +171,9 @@ def open_run(directory: str | Path) -> Run:
     settings = values.pop("config", {})
     if made in EARLIER and isinstance(settings, dict):
         settings = to_dict(method.config_type()) | settings
+        said = {name: values.pop(name) for name in ("format", "episode_ends") if name in values}
+        values["reading"] = to_dict(AS_FOUND) | said
+        values["spaces"] = {"state_names": [], "action_names": []} | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
     return Run(directory, spec)

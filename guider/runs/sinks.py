@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from guider.errors import GuiderError
 from guider.learning.training import Chunk
+from guider.support.extras import extra
 
 
 def sink(name: str | None, directory: Path) -> Callable[[Chunk, Any], None]:
@@ -18,7 +18,7 @@ def sink(name: str | None, directory: Path) -> Callable[[Chunk, Any], None]:
     """
     if name is None:
         return lambda chunk, state: None
-    try:
+    with extra(name, name):
         if name == "tensorboard":
             from tensorboardX import SummaryWriter
 
@@ -30,8 +30,6 @@ def sink(name: str | None, directory: Path) -> Callable[[Chunk, Any], None]:
 
             def write(tag: str, value: float, step: int) -> None:
                 run({tag: value, f"{tag.split('/')[0]}/update": step})
-    except ImportError:
-        raise GuiderError(f'{name} is not installed: pip install "guider-rl[{name}]"') from None
 
     def log(chunk: Chunk, state: Any) -> None:
         for metric, values in chunk.metrics.items():

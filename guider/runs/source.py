@@ -18,7 +18,7 @@ def same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
         raise GuiderError(f"{run.directory} was trained on arrays in memory; give the same Episodes (data=episodes)")
     try:
         given = spec.data if data is None else data
-        episodes = episodes_of(given, spec.spaces.goal_indices, spec.format, spec.episode_ends)
+        episodes = episodes_of(given, spec.spaces.goal_indices, reading=spec.reading)
     except GuiderError as error:
         if data is not None:
             raise

@@ -36,7 +36,7 @@ GOALS_SAMPLED = 3
 
 
 def read_with_achieved_goal(observation: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """For observations without the achieved goal: it is put in front, as guider.data.minari does."""
+    """For observations without the achieved goal: it is put in front, as guider.data.readers.minari does."""
     state = np.concatenate([observation["achieved_goal"], observation["observation"]])
     return state, observation["desired_goal"]
 

@@ -4,8 +4,8 @@
 D4RL's; `kitchen-*-gymnasium` are the same with Gymnasium's, as Minari's data has it.
 
 A state is 30 positions, the robot's 9 joints and the objects' 21, which is all that D4RL's files and this simulation
-have in common (guider.data.kitchen.kitchen_states); the goal space is the objects' 21. An episode scores 25 for each of
-the task's four subtasks whose joints come within 0.3 of their goal at some step, alone and in any order.
+have in common (guider.data.readers.kitchen.kitchen_states); the goal space is the objects' 21. An episode scores 25 for
+each of the task's four subtasks whose joints come within 0.3 of their goal at some step, alone and in any order.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
-from guider.data.kitchen import kitchen_states
+from guider.data.readers.kitchen import kitchen_states
 from guider.data.store import Recording
 from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv

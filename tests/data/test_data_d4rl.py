@@ -7,7 +7,7 @@ import pytest
 from recordings import GOAL, antmaze, ends, walk, write_hdf5, write_npz
 
 from guider.data import load
-from guider.data.kitchen import kitchen_states
+from guider.data.readers.kitchen import kitchen_states
 from guider.errors import GuiderError, GuiderWarning
 
 

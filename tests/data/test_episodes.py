@@ -196,6 +196,7 @@ def test_split_is_disjoint_complete_and_repeatable(lengths, held_out):
 
 def test_rounding_does_not_widen_the_bounds():
     actions = np.tile([[0.5, -0.3]], (20, 1))
+    actions[4] = -0.5, 0.3
     for value in (1.0, 1.0000002):
         actions[3, 0] = value
         made = make_episodes(np.eye(20), actions, [20], (0, 1))
@@ -219,3 +220,23 @@ def test_coarse_numbers_are_told_where_they_lose_a_share_of_how_they_vary(varies
         make_episodes(observations, np.zeros((50, 1)), [50], (0, 1))
     assert len(caught) == (2 if varies_by == 1.0 else 0)
     assert all("only steps of 0.062" in str(warning.message) for warning in caught)
+
+
+@pytest.mark.parametrize(
+    ("seen", "bounds"),
+    [
+        ((-0.4, 0.9), (-1, 1)),
+        ((0.2, 0.9), (0, 1)),  # a throttle
+        ((-0.9, 0.0), (-1, 0)),
+        ((-0.03, 0.02), (-0.03, 0.02)),  # increments in metres
+        ((0.0, 0.05), (0.0, 0.05)),
+        ((0.0, 0.0), (-1, 1)),  # a gripper that was not used
+    ],
+)
+def test_bounds_that_nobody_gave(seen, bounds):
+    actions = np.tile([[seen[0], -0.9], [seen[1], 0.9]], (2, 1))
+    made = make_episodes(np.eye(5), np.vstack([actions, [0, 0]]), [5], (0,))
+    np.testing.assert_allclose((made.action_low[0], made.action_high[0]), bounds, rtol=1e-6)
+    in_units = make_episodes(np.eye(5), np.vstack([actions * (1, 100), [0, 0]]), [5], (0,))
+    expected = seen if seen[0] < seen[1] else bounds
+    np.testing.assert_allclose((in_units.action_low[0], in_units.action_high[0]), expected, rtol=1e-6)

@@ -12,6 +12,7 @@ import pytest
 from conftest import make_ragged, tiny, train_guider
 
 from guider import runs
+from guider.data import AS_FOUND
 from guider.data.episodes import make_episodes
 from guider.errors import GuiderError
 from guider.learning import losses
@@ -303,7 +304,7 @@ def test_what_the_data_never_varied_is_not_shown(fast_config, ragged):
     """Beyond the data's range and half of it more, an entry or a goal changes nothing: a constant one never does."""
     spaces = replace(ragged.spaces, state_low=(-20.0, -20, 0, 3), state_high=(20.0, 20, 8, 3))
     (policy,) = runs.policies(
-        runs.RunSpec(None, "", None, (), "", 0.0, "guider", "fast", (0,), fast_config, spaces),
+        runs.RunSpec(None, "", AS_FOUND, "", 0.0, "guider", "fast", (0,), fast_config, spaces),
         jax.tree.map(lambda leaf: leaf[None], untrained(fast_config, ragged).state),
     )
 

@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from guider import plots
+from guider.data import AS_FOUND
 from guider.data.episodes import Episodes, make_episodes
 from guider.evaluation.rollouts import Rollouts, Trace
 from guider.learning.networks import twin_values
@@ -303,8 +304,7 @@ def make_run(directory, episodes: Episodes, task: str | None, policy: Policy) ->
     spec = RunSpec(
         task=task,
         data="logs/robot.npz",
-        format=None,
-        episode_ends=(),
+        reading=AS_FOUND,
         fingerprint="",
         held_out=0.4,
         method=policy.method,

@@ -17,7 +17,7 @@ from guider.collect.kitchen import OTHER_CHAINS, PLAY_DECK, WHOLE, Recipe, recor
 from guider.collect.kitchen_demos import EPISODE_STEPS, FINGER_NOISE, NOISE_SPREADS, PLANS, _tremor, demonstrate
 from guider.collect.reaching import LIMIT_MARGIN_RAD, Hand, joint_step
 from guider.data import load
-from guider.data.kitchen import kitchen_states
+from guider.data.readers.kitchen import kitchen_states
 from guider.data.write import write_d4rl
 from guider.errors import GuiderError
 from guider.evaluation import rollouts as evaluation
