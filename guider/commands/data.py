@@ -65,9 +65,7 @@ def data(
         if source is None:
             raise GuiderError("say what to inspect: guider data inspect SOURCE")
         description = api.inspect(source, task=task, **learning)
-        shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
-        lines = [f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items()]
-        answer(description, "\n".join(lines), as_json)
+        answer(description, _page(description), as_json)
     elif source is None and (out is not None or mirror is not None):
         raise GuiderError("say what to fetch: guider data fetch NAME; without a name it lists what there is")
     elif source is None:
@@ -81,6 +79,40 @@ def data(
             )
         files = [str(path) for path in paths]
         answer({"name": source, "files": files}, "\n".join(f"{file} is complete" for file in files), as_json)
+
+
+def _page(description: dict[str, Any]) -> str:
+    """The description for people to read: entries as a table, what is wrong last, then the verdict."""
+    shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
+    tables = _entries(shown)
+    faults, verdict = shown.pop("faults"), shown.pop("verdict")
+    lines = [
+        f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items() if value not in ([], {}, None)
+    ]
+    lines += [f"{'look at' if number == 0 else '':>20}  {fault}" for number, fault in enumerate(faults)]
+    return "\n".join([*tables, "", *lines, f"{'verdict':>20}  {verdict}"])
+
+
+def _entries(shown: dict[str, Any]) -> list[str]:
+    """Tables of the state's and the action's entries, for which what they tell is taken out of `shown`."""
+    names = {kind: shown.pop(f"{kind}_names") for kind in ("state", "action")}
+    could, refused = shown.pop("could_be_goal"), shown.pop("no_goal")
+    ranges = {"state": shown.pop("state_range"), "action": shown.pop("action_bounds")}
+    lines = []
+    for kind, heads in (("state", ("lowest", "highest", "as a goal")), ("action", ("least", "most", "at rest"))):
+        width = max([len(name) for name in names[kind]] + [4])
+        lines.append(f"{kind:>8}  {'name' if names[kind] else '':{width}}  {heads[0]:>10}  {heads[1]:>10}  {heads[2]}")
+        for entry, (low, high) in enumerate(ranges[kind]):
+            name = names[kind][entry] if names[kind] else ""
+            known = name or str(entry)
+            last = (
+                ("yes" if known in could else refused[known])
+                if kind == "state"
+                else f"{shown['resting_action'][entry]:g}"
+            )
+            lines.append(f"{entry:>8}  {name:{width}}  {low:>10.6g}  {high:>10.6g}  {last}")
+    del shown["resting_action"], shown["goal_range"]
+    return lines
 
 
 def _end_signs(signs: list[dict[str, Any]]) -> str:
@@ -97,4 +129,6 @@ def _short(value: Any) -> str:
         return ", ".join(f"{name} {_short(item)}" for name, item in value.items())
     if isinstance(value, list) and value and isinstance(value[0], dict):
         return "; ".join(map(_short, value))
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        return ", ".join(value)
     return str(value)

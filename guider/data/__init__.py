@@ -96,6 +96,7 @@ def load(
         recording.lengths,
         wanted.assumed_goal or () if known is None else known,
         goals=recording.goals,
+        times=recording.times,
         action_low=recording.action_low if action_low is None else action_low,
         action_high=recording.action_high if action_high is None else action_high,
         source=name,

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from guider.data import suggestions
 from guider.data.episodes import SMALLEST_SPREAD, Episodes
+from guider.data.findings import find_faults
 
 _WINDOWS = (1, 5, 10, 20, 50, 100)
 _STILL_FRACTION = 1e-3
@@ -25,12 +27,17 @@ def describe(episodes: Episodes) -> dict[str, Any]:
     range from a bound: behaviour at its limits may be worth repeating more gently (`action_scale`, which scales
     towards `resting_action`). `episode_ends` lists every sign of where episodes end, how many rows it marks, and
     whether these were taken as ends. `goal_space_from` says who named the goal indices: "assumed" if nobody did.
-    `hardly_varying_state_entries` have a spread below 0.001, which is as good as none to a network.
+    `hardly_varying_state_entries` have a spread below 0.001, which is as good as none to a network. `rate_hz` is None
+    where the source has no time. `could_be_goal` names state entries, `no_goal` says why others could not be one;
+    `suggested_radius` is for the goal entries above. `faults` are lines about what is wrong, or may be
+    (guider.data.findings), and `verdict` sums them up.
     """
     achieved = episodes.achieved
     low, high = episodes.observations.min(axis=0), episodes.observations.max(axis=0)
     indices = list(episodes.goal_indices)
     lengths = episodes.lengths
+    candidates, refused = suggestions.goal_candidates(episodes)
+    faults = find_faults(episodes)
     extent = float(np.linalg.norm(high[indices] - low[indices]))
     return {
         "source": episodes.source,
@@ -44,6 +51,9 @@ def describe(episodes: Episodes) -> dict[str, Any]:
             "max": int(lengths.max()),
         },
         "episode_ends": [asdict(sign) for sign in episodes.end_signs],
+        "rate_hz": suggestions.rate(episodes),
+        "state_names": list(episodes.state_names),
+        "action_names": list(episodes.action_names),
         "state_dim": episodes.observations.shape[1],
         "action_dim": episodes.actions.shape[1],
         "goal_indices": indices,
@@ -59,7 +69,24 @@ def describe(episodes: Episodes) -> dict[str, Any]:
         "goal_travel": [
             _travel(achieved, episodes.last_rows, steps, extent) for steps in _WINDOWS if steps < lengths.max()
         ],
+        "could_be_goal": suggestions.named(episodes, candidates),
+        "no_goal": dict(zip(suggestions.named(episodes, list(refused)), refused.values(), strict=True)),
+        "suggested_radius": suggestions.suggested_radius(episodes),
+        "faults": faults,
+        "verdict": _verdict(faults, candidates),
     }
+
+
+def _verdict(faults: list[str], candidates: list[int]) -> str:
+    if not candidates:
+        return "would not train on this: no entry moves and ends at different values, so there is nothing to aim at"
+    if faults:
+        return (
+            f"look at the {len(faults)} findings above, then train"
+            if len(faults) > 1
+            else "look at the finding above, then train"
+        )
+    return "nothing found that speaks against training on it"
 
 
 def _hardly_varying(observations: np.ndarray) -> list[int]:

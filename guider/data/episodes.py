@@ -74,6 +74,7 @@ class Episodes:
     end_signs:    what said where episodes end, for people to read
     goal_space_from: who named the goal space: whoever asked for the data, its source, or nobody (it is assumed)
     state_names, action_names: of the entries, () where the source has no names
+    times:        [rows] float64 seconds, for people to look at, or None
     """
 
     observations: np.ndarray
@@ -88,6 +89,7 @@ class Episodes:
     goal_space_from: GoalSpaceFrom = "asked for"
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
+    times: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "goals"):
@@ -154,6 +156,7 @@ class Episodes:
             observations=self.observations[rows],
             actions=self.actions[rows],
             goals=None if self.goals is None else self.goals[rows],
+            times=None if self.times is None else self.times[rows],
             starts=np.concatenate([[0], np.cumsum(lengths)[:-1]]),
         )
 
@@ -194,6 +197,7 @@ def make_episodes(
     goal_indices: tuple[int, ...] | list[int],
     *,
     goals: np.ndarray | None = None,
+    times: np.ndarray | None = None,
     action_low: np.ndarray | float | None = None,
     action_high: np.ndarray | float | None = None,
     source: str = IN_MEMORY,
@@ -251,6 +255,7 @@ def make_episodes(
         keep = np.repeat(lengths >= 2, lengths)
         observations, actions, is_action = observations[keep], actions[keep], is_action[keep]
         goals = None if goals is None else goals[keep]
+        times = None if times is None else times[keep]
         lengths = lengths[lengths >= 2]
     if len(lengths) == 0:
         raise fail("no episode has two states, so there is no transition to learn from")
@@ -266,6 +271,7 @@ def make_episodes(
         action_high=high,
         source=source,
         end_signs=end_signs or (EndSign("lengths", len(lengths)),),
+        times=times,
     )
 
 

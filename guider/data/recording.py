@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from guider.data.columns import ACHIEVED, DESIRED, choose_actions, choose_states, entries_called, rows_called
-from guider.data.ends import find_ends
+from guider.data.ends import TIMES, find_ends
 from guider.data.episodes import check_goal_indices
 from guider.data.store import Recording, Store, describe_keys
 from guider.errors import GuiderError
@@ -88,7 +88,19 @@ def recording_of(store: Store, wanted: Wanted) -> Recording:
         known,
         names,
         actions.names or store.texts("action_names"),
+        _times(store, len(observations)),
     )
+
+
+def _times(store: Store, rows: int) -> np.ndarray | None:
+    """[rows] seconds. Times of day in milli-, micro- and nanoseconds are known by their size."""
+    for name in TIMES:
+        times = store.column(name, rows)
+        if times is not None and np.isfinite(times).all():
+            size = float(np.abs(times).max())
+            unit = next((unit for least, unit in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)) if size > least), 1.0)
+            return times.astype(np.float64) * unit
+    return None
 
 
 def no_goal_space(source: str, example: str = "--goal-indices 0 1", listed: str = "") -> GuiderError:

@@ -267,6 +267,7 @@ class Recording:
     warning:      what was decided about that and may be wrong, in one line, or None
     goal_indices: the state entries that are the source's own goal space, None where it names none
     state_names, action_names: of the entries, () where the source has no names
+    times:        [rows] float64 seconds, None where the source has none
     """
 
     observations: np.ndarray
@@ -280,3 +281,4 @@ class Recording:
     goal_indices: tuple[int, ...] | None = None
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
+    times: np.ndarray | None = None

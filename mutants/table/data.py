@@ -22,4 +22,48 @@ TABLE: Table = {
         ("_MOST_LOST * (high[coarse] - low[coarse])", "_MOST_LOST", "data/test_episodes.py"),
         ("lost = np.fmax(lost, np.fmax", "lost = np.fmin(lost, np.fmax", "data/test_episodes.py"),
     ],
+    "guider/data/recording.py": [
+        ("len(actions) != rows - len(lengths)", "len(actions) != rows - 1", "data/test_readers.py"),
+        ("np.cumsum(lengths - 1)", "np.cumsum(lengths)", "data/test_readers.py"),
+        ("known = own if asked is None else asked", "known = asked if own is None else own", "data/test_readers.py"),
+        ("_same_space(indices, own, observations)", "_same_space(own, own, observations)", "data/test_layouts.py"),
+    ],
+    "guider/data/columns.py": [
+        ("return tuple(dict.fromkeys(found))", "return tuple(sorted(set(found)))", "data/test_readers.py"),
+        ("keys = single[:1] or grouped", "keys = single or grouped", "data/test_readers.py"),
+        ("rows if column is None else rows[:, column : column + 1]", "rows", "data/test_readers.py"),
+    ],
+    "guider/data/store.py": [
+        (
+            "if len(item) == rows else np.concatenate",
+            "if len(item) >= rows - 1 else np.concatenate",
+            "data/test_readers.py",
+        ),
+    ],
+    "guider/data/readers/folders.py": [
+        ('(int(part), "") if part.isdecimal()', "(-1, part) if part.isdecimal()", "data/test_readers.py"),
+        ('relative_to(folder).parts[0] == "data"', 'relative_to(folder).parts[0] != "x"', "data/test_readers.py"),
+    ],
+    "guider/data/findings.py": [
+        ("if best > 0:", "if best < 0:", "data/test_findings.py"),
+        ("left = now - weight * before", "left = now", "data/test_findings.py"),
+        ("gaps = inside & (steps", "gaps = (steps", "data/test_findings.py"),
+        ("still = inside & (np.diff", "still = (np.diff", "data/test_findings.py"),
+    ],
+    "guider/data/suggestions.py": [
+        ("varied[entry] < _LEAST_ENDS", "varied[entry] < 0", "data/test_findings.py"),
+        (
+            "travelled[entry] < _LEAST_TRAVEL * spans[entry]",
+            "travelled[entry] < _LEAST_TRAVEL",
+            "data/test_findings.py",
+        ),
+    ],
+    "guider/data/layouts.py": [
+        ("actions[-1] = actions[-2]", "pass", "data/test_layouts.py"),
+        (
+            "terminals[np.cumsum(episodes.lengths) - 1] = 1",
+            "terminals[np.cumsum(episodes.lengths)[:-1]] = 1",
+            "data/test_layouts.py",
+        ),
+    ],
 }
