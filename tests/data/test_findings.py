@@ -114,3 +114,33 @@ def test_what_could_be_a_goal_and_how_near_is_near():
     in_millimetres = cart()
     in_millimetres = replace(in_millimetres, observations=in_millimetres.observations * 1000)
     assert suggestions.suggested_radius(in_millimetres) == 400
+
+
+def test_what_lies_between_episodes_is_no_fault():
+    """The next begins where the last one stopped, an hour later."""
+    plain = cart()
+    states = plain.observations.copy()
+    starts = np.arange(10, len(states), 10)
+    states[starts] = states[starts - 1]
+    times = 0.1 * np.arange(len(states)) + 3600 * (np.arange(len(states)) // 10)
+    short = make_episodes(states, plain.actions, [10] * (len(states) // 10), (0, 1), times=times)
+    assert findings.stills(short) == findings.timing(short) == []
+
+
+def test_a_lag_behind_smooth_motion():
+    """Push and speed change slowly, so that every row goes with those near it: only what is new in each row tells."""
+    rng = np.random.default_rng(0)
+    push, speed, place, states, actions = 0.0, 0.0, 0.0, [], []
+    for _ in range(4000):
+        push = 0.98 * push + rng.normal()
+        speed += 0.3 * (push - speed)
+        states.append([place])
+        actions.append([push])
+        place += speed
+
+    def logged(delay: int) -> Episodes:
+        return make_episodes(np.array(states), np.roll(actions, delay, axis=0), [1000] * 4, (0,))
+
+    assert findings.alignment(logged(0)) == []
+    (line,) = findings.alignment(logged(3))
+    assert line.startswith("actions stand 3 rows after")

@@ -225,6 +225,8 @@ def test_hers_demonstrations(tmp_path):
     np.testing.assert_array_equal(episodes.actions[[0, 1, 2, 4, 5, 6]], actions.reshape(6, 2))
     assert episodes.goals is not None
     np.testing.assert_array_equal(episodes.goals, np.repeat(goal[:, 0], 4, axis=0))
+    elsewhere = load(tmp_path / "demo.npz", (0, 3))
+    assert elsewhere.goal_indices == (0, 3) and elsewhere.goals is None
     os.link(tmp_path / "demo.npz", tmp_path / "more.npz")
     assert load(tmp_path).lengths.tolist() == [4] * 4  # a folder of such files keeps every episode apart
 
@@ -243,6 +245,7 @@ def test_columns_go_by_name_in_the_order_asked_for(tmp_path, log):
     np.testing.assert_array_equal(episodes.observations, states[:, [2, 0]])
     assert episodes.state_names == ("heading", "x") and episodes.goal_indices == (0,)
     assert load(folder, goal="?").goal_indices == (0, 1)  # x and y
+    assert load(folder, goal=("y", "x")).goal_indices == (1, 0)
     with pytest.raises(GuiderError, match=r"no state entry is called 'z'.*x, y, heading"):
         load(folder, goal=("z",))
     with pytest.raises(
@@ -280,6 +283,14 @@ def test_minari_dicts_of_any_shape(tmp_path):
     episodes = load(tmp_path, goal=("obs/arm/position*",))
     np.testing.assert_array_equal(episodes.observations, rows)
     assert episodes.state_names[:2] == ("obs/arm/position.0", "obs/arm/position.1") and episodes.goal_indices == (0, 1)
+
+
+def test_an_action_less_than_states_and_another_array_beside_them(tmp_path, log):
+    states, actions = (np.concatenate([episode[i][: None if i == 0 else -1] for episode in log]) for i in (0, 1))
+    np.savez(tmp_path / "a.npz", observations=states, obs=states, actions=actions, lengths=LENGTHS)
+    episodes = load(tmp_path / "a.npz", (0, 1))
+    assert episodes.observations.shape == (18, 3)
+    np.testing.assert_array_equal(np.delete(episodes.actions, np.cumsum(LENGTHS) - 1, axis=0), actions)
 
 
 # What is not read is refused in a line that says what to do
