@@ -61,8 +61,8 @@ def train(
     held_out: fraction of episodes kept for `evaluate`; default 0 for a task, 0.1 for your own data.
     evaluate_every: evaluate all seeds at the first chunk's end after every so many updates of the last stage; 0 for
         never.
-    on_chunk: called between chunks of updates, e.g. to show progress; say: called before training with a line about
-        what of the data is learned from, which run.json keeps; pace: how often to report and save.
+    on_chunk: called between chunks of updates, e.g. to show progress; say: called with lines about what is done before
+        training, and about what of the data is learned from, which run.json keeps; pace: how often to report and save.
     stage_cache: directory of stages trained before, by runs that share it: equal ones are taken over, new ones added.
     options: see LearningOptions.
     """
@@ -74,6 +74,8 @@ def train(
     directory = run_directory(task, out, options)
     runs.check_free(directory)
     check(task, settings, options)
+    if isinstance(data, str | Path):
+        say(f"reading {data}")
     episodes = find_data(task, data, options)
     problem, config = settle(task, episodes, settings, options)
     held_out = (0.1 if task is None else 0.0) if held_out is None else number(held_out, "held_out")
@@ -88,6 +90,7 @@ def train(
         )
     use = str(data_use(config.view, problem, training))
     say(f"{use}; training multiplies in {processor.settled(config.precision)}")
+    say("compiling, which takes a minute at most for each stage")
     spec = RunSpec(
         task=task,
         data=lasting(data, episodes),

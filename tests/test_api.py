@@ -117,9 +117,9 @@ def test_own_data_is_learned_from_whole(started):
     assert said[0].startswith("590 of 590 transitions (100%)")
     assert "view.boundary=drop" in said[0] and "minimum_move" not in said[0]
     plan(started, method="guider", settings={"view.minimum_move": 1.0}, say=said.append, held_out=0.0)
-    assert "left out by view.minimum_move=1 (rows whose goal entries move less within 5 steps)" in said[1]
-    assert int(said[1].split()[0]) < 590
-    assert said[1] == f"{started[-1][2]['data_use']}; training multiplies in {settled('auto')}"
+    assert "left out by view.minimum_move=1 (rows whose goal entries move less within 5 steps)" in said[2]
+    assert int(said[2].split()[0]) < 590
+    assert said[2] == f"{started[-1][2]['data_use']}; training multiplies in {settled('auto')}"
 
 
 def test_no_window_says_what_would_help():
