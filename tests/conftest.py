@@ -25,6 +25,7 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")
 import jax
 
 from guider.data.episodes import Episodes, make_episodes
+from guider.evaluation import imagined
 from guider.learning.problem import Problem
 from guider.learning.training import init_seeds, train
 from guider.methods import METHODS
@@ -111,6 +112,13 @@ def ragged() -> Episodes:
 @pytest.fixture(scope="session")
 def fast_config() -> GuiderConfig:
     return tiny(guider_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)))
+
+
+@pytest.fixture(autouse=True)
+def few_updates(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Held-out scores learn a model of the robot, which takes a while; what it is worth, its own tests say."""
+    if "optimised" not in request.fixturenames:
+        monkeypatch.setattr(imagined, "UPDATES", 20)
 
 
 @pytest.fixture

@@ -38,15 +38,10 @@ def evaluate(
 
 def _evaluation_table(result: dict[str, Any]) -> Table:
     title = f"{result['task'] or result['data']}, {result['method']}, preset {result['preset']}"
+    if result["task"] is None:
+        return _held_out_table(result, title)
     table = Table(box=None, title=title, caption=f"acts by the {result['acts_by']}")
     table.add_column("seed")
-    if result["task"] is None:
-        names = list(result["per_seed"][0])
-        for name in names:
-            table.add_column(name.replace("_", " "))
-        for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
-            table.add_row(str(seed), *("-" if scores[name] is None else f"{scores[name]:.3f}" for name in names))
-        return table
     in_maze = ("fell / stuck / time",) if "ending" in result["per_seed"][0]["episodes"] else ()
     guided = ("subgoals off data", "in walls") if "subgoals_in_walls" in result["per_seed"][0] else ()
     for name in (result["unit"], "95 % interval", "median steps when met", *in_maze, *guided):
@@ -63,4 +58,19 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
         table.add_row(str(seed), *cells)
     low, high = result["interval_95"]
     table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
+    return table
+
+
+def _held_out_table(result: dict[str, Any], title: str) -> Table:
+    """A row for each score, with what it says; the verdicts below."""
+    from guider.evaluation.trust import MEANINGS
+
+    seeds, per_seed = result["training_seeds"], result["per_seed"]
+    verdicts = [f"seed {seed}: {words}" for seed, words in zip(seeds, result["verdicts"], strict=True)]
+    table = Table(box=None, title=title, caption="\n".join([*verdicts, f"acts by the {result['acts_by']}"]))
+    for head in ("", *(f"seed {seed}" for seed in seeds), "what it says"):
+        table.add_column(head)
+    for name in per_seed[0]:
+        cells = ("-" if scores[name] is None else f"{scores[name]:.3g}" for scores in per_seed)
+        table.add_row(name.replace("_", " "), *cells, MEANINGS[name])
     return table

@@ -94,27 +94,38 @@ def duplicates(episodes: Episodes) -> list[str]:
 
 def jumps(episodes: Episodes) -> list[str]:
     """State entries that leap within an episode, and those that wrap or switch."""
-    steps, inside = np.abs(np.diff(episodes.observations, axis=0)), _inside(episodes)
-    spans = np.ptp(episodes.observations, axis=0)
-    wraps, leaps, leaping = [], np.zeros(len(steps), bool), []
-    for entry in np.flatnonzero(spans > 0):
-        usual = float(np.quantile(steps[inside, entry], 0.95))
-        far = inside & (steps[:, entry] > max(_JUMP_FACTOR * usual, _JUMP_RANGE * spans[entry]))
-        if not far.any():
-            continue
-        if np.median(steps[far, entry]) >= _WRAP_RANGE * spans[entry]:
-            wraps.append(_name(episodes, entry))
-        else:
-            leaps |= far
-            leaping.append(_name(episodes, entry))
+    wraps, leaping, leaps = _leaps(episodes)
     found = []
     if leaping:
-        found.append(f"{_listed(leaping)}: leaps, after {_rows(episodes, leaps)}")
+        names = _listed([_name(episodes, entry) for entry in leaping])
+        found.append(f"{names}: leaps, after {_rows(episodes, leaps)}")
     if wraps:
         found.append(
-            f"{_listed(wraps)}: whole range crossed in a step; angles that wrap are better given as sine and cosine"
+            f"{_listed([_name(episodes, entry) for entry in wraps])}: whole range crossed in a step; angles that wrap "
+            "are better given as sine and cosine"
         )
     return found
+
+
+def wrapping_entries(episodes: Episodes) -> list[int]:
+    """State entries that cross their whole range in a step: angles that wrap, or switches."""
+    return _leaps(episodes)[0]
+
+
+def _leaps(episodes: Episodes) -> tuple[list[int], list[int], np.ndarray]:
+    """(entries that wrap, other entries that leap, [rows - 1] bool after which rows those do)."""
+    steps, inside = np.abs(np.diff(episodes.observations, axis=0)), _inside(episodes)
+    spans = np.ptp(episodes.observations, axis=0)
+    wraps, leaping, leaps = [], [], np.zeros(len(steps), bool)
+    for entry in map(int, np.flatnonzero(spans > 0)):
+        usual = float(np.quantile(steps[inside, entry], 0.95))
+        far = inside & (steps[:, entry] > max(_JUMP_FACTOR * usual, _JUMP_RANGE * spans[entry]))
+        if far.any() and np.median(steps[far, entry]) >= _WRAP_RANGE * spans[entry]:
+            wraps.append(entry)
+        elif far.any():
+            leaping.append(entry)
+            leaps |= far
+    return wraps, leaping, leaps
 
 
 def stills(episodes: Episodes) -> list[str]:

@@ -13,9 +13,11 @@ from guider import runs
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError, GuiderWarning
 from guider.evaluation.heldout import held_out_scores
+from guider.evaluation.imagined import fit_model, imagined_scores
 from guider.evaluation.outcomes import ending, subgoal_shares
 from guider.evaluation.rollouts import Rollouts, rollout
 from guider.evaluation.summary import summary
+from guider.evaluation.trust import verdict
 from guider.learning import processor
 from guider.methods import find_method, preset_config
 from guider.methods.policy import Policy
@@ -112,11 +114,16 @@ def _held_out(run: Run, policies: list[Policy], data: str | Path | Episodes | No
     logged = same_data(run, data)
     if spec.held_out == 0:
         raise GuiderError(f"{run.directory} held no episodes out; train with --held-out 0.1 to score it")
-    unseen = logged.split(spec.held_out)[1]
+    training, unseen = logged.split(spec.held_out)
+    model = fit_model(training)
+    per_seed = [
+        imagined_scores(policy, model, training, unseen) | held_out_scores(policy, unseen) for policy in policies
+    ]
     return {
         "held_out_episodes": len(unseen.starts),
         "held_out_use": str(data_use(spec.config.view, spec.config.problem, unseen)),
-        "per_seed": [held_out_scores(policy, unseen) for policy in policies],
+        "per_seed": per_seed,
+        "verdicts": [verdict(scores) for scores in per_seed],
     }
 
 
