@@ -7,6 +7,7 @@ any that was logged, the model knows nothing, and the episode counts as failed: 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,9 +18,11 @@ from scipy.spatial import KDTree
 
 from guider.data.episodes import SMALLEST_SPREAD, Episodes
 from guider.data.findings import wrapping_entries
+from guider.evaluation.rollouts import Trace
 from guider.goals import largest_distance
 from guider.learning.networks import Layers, mlp, mlp_init
 from guider.learning.optimisers import adam_init, adam_step, cosine_rate
+from guider.methods import find_method
 from guider.methods.policy import Policy, act, initial_state
 
 MEMBERS, UPDATES, BATCH, HIDDEN, LEARNING_RATE = 3, 6_000, 256, (256, 256), 1e-3
@@ -112,50 +115,104 @@ def _shortest(changes: jax.Array, period: jax.Array) -> jax.Array:
 
 
 @partial(jax.jit, static_argnames="steps")
-def imagine(policy: Policy, model: Model, starts: jax.Array, goals: jax.Array, steps: int) -> jax.Array:
-    """[steps, K, B, G] where the policy comes in each member's world. starts: [B, S]; goals: [B, G]."""
+def imagine(
+    policy: Policy, model: Model, starts: jax.Array, goals: jax.Array, steps: int
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What the policy does in each member's world. starts: [B, S]; goals: [B, G].
+
+    Returns where it comes after each step, the subgoal it then pursued (the goal, where it has none), [steps, K, B, G],
+    and whether that was new, [steps, K, B].
+    """
     members, count = len(model.members[0][0]), len(starts)
     entries = jnp.asarray(policy.goal_indices)
     aims = jnp.tile(goals, (members, 1))
+    subgoals = find_method(policy.method).subgoals
 
-    def one(carry: Any, index: jax.Array) -> tuple[Any, jax.Array]:
+    def one(carry: Any, index: jax.Array) -> tuple[Any, Any]:
         states, acting = carry
-        flat = states.reshape(members * count, -1)
-        actions, acting = act(policy, flat, aims, acting, jnp.full(members * count, index == 0))
+        begins = jnp.full(members * count, index == 0)
+        actions, acting = act(policy, states.reshape(members * count, -1), aims, acting, begins)
+        pursued, renewed = subgoals.pursued(policy.config, acting) if subgoals else (aims, begins)
         states = step(model, states, actions.reshape(members, count, -1))
-        return (states, acting), states[..., entries]
+        shape = members, count
+        return (states, acting), (states[..., entries], pursued.reshape(*shape, -1), renewed.reshape(shape))
 
     begin = jnp.broadcast_to(starts, (members, *starts.shape)), initial_state(policy, members * count)
     return jax.lax.scan(one, begin, jnp.arange(steps))[1]
 
 
-def imagined_scores(policy: Policy, model: Model, training: Episodes, unseen: Episodes) -> dict[str, float | None]:
-    """How a policy's imagined episodes go. model: of the episodes `training`; starts and goals are those of `unseen`.
+@dataclass(frozen=True, eq=False)
+class Imagined:
+    """Imagined episodes. starts: [B, S]; goals: [B, G]; places, subgoals: [steps, K, B, G]; renewed: [steps, K, B];
+    first_met, first_off: [K, B] steps until the goal is met, and until the logged places are left; `steps` if never."""
 
-    imagined_success:   share that meets the goal within three times the longest episode (1,000 steps at the most)
-                        without leaving what was logged
-    imagined_steps:     median steps until then
-    imagined_left_data: share that left it first: no logged place within the reach radius, or within what separates all
-                        but a thousandth of unseen states from the logged ones, if that is more
-    model_error:        median error of the model after c logged actions from an unseen state, as a share of the median
-                        way that c steps go: above a half, the model says little
+    starts: np.ndarray
+    goals: np.ndarray
+    places: np.ndarray
+    subgoals: np.ndarray
+    renewed: np.ndarray
+    first_met: np.ndarray
+    first_off: np.ndarray
+
+    @property
+    def success(self) -> np.ndarray:
+        """[K, B] bool: the goal was met, and nowhere before was nothing logged."""
+        return self.first_met < np.minimum(self.first_off, len(self.places))
+
+    def traces(self, count: int) -> tuple[Trace, ...]:
+        """The first episodes in the first member's world, failures in front."""
+        order = np.argsort(self.success[0], kind="stable")[:count]
+        ends = np.where(self.success, self.first_met + 1, np.minimum(self.first_off + 1, len(self.places)))[0]
+        return tuple(
+            Trace(
+                achieved=self.places[: ends[e], 0, e],
+                subgoals=self.subgoals[: ends[e], 0, e],
+                renewed=self.renewed[: ends[e], 0, e],
+                goal=self.goals[e],
+                success=bool(self.success[0, e]),
+                last_state=self.starts[e],
+            )
+            for e in order
+        )
+
+
+def imagined_episodes(policy: Policy, model: Model, training: Episodes, unseen: Episodes) -> Imagined:
+    """A policy's episodes in the model of the episodes `training`, on starts and goals of `unseen`.
+
+    They last three times the longest episode, 1,000 steps at the most. Places are off the data where no logged one lies
+    within the reach radius, or within what separates all but a thousandth of unseen states from the logged ones, if
+    that is more.
     """
     problem = policy.config.problem
     logged = KDTree(training.achieved)
     apart = float(np.quantile(logged.query(unseen.achieved)[0], 0.999))
     starts, goals = _pairs(unseen, 2 * problem.radius, problem.goal_parts)
     steps = min(_LONGEST_STEPS, _EPISODE_LENGTHS * int(training.lengths.max()))
-    places = np.asarray(imagine(policy, model, jnp.asarray(starts), jnp.asarray(goals), steps))
+    found = imagine(policy, model, jnp.asarray(starts), jnp.asarray(goals), steps)
+    places, subgoals, renewed = (np.asarray(part) for part in found)
     met = largest_distance(places, goals, problem.goal_parts) <= problem.radius
-    flat = np.nan_to_num(places.reshape(-1, places.shape[-1]), nan=np.inf, posinf=1e30, neginf=-1e30)
+    flat = np.nan_to_num(places.reshape(-1, places.shape[-1]), nan=1e30, posinf=1e30, neginf=-1e30)
     off = (logged.query(flat)[0] > max(problem.reach_radius, apart)).reshape(met.shape)
-    first_met, first_off = (np.where(found.any(axis=0), found.argmax(axis=0), steps) for found in (met, off))
-    success = first_met < np.minimum(first_off, steps)
+    first = (np.where(happens.any(axis=0), happens.argmax(axis=0), steps) for happens in (met, off))
+    return Imagined(starts, goals, places, subgoals, renewed, *first)
+
+
+def imagined_scores(policy: Policy, model: Model, training: Episodes, unseen: Episodes) -> dict[str, float | None]:
+    """How a policy's imagined episodes go, see `imagined_episodes`.
+
+    imagined_success:   share that meets the goal without leaving what was logged
+    imagined_steps:     median steps until then
+    imagined_left_data: share that left it first
+    model_error:        median error of the model after c logged actions from an unseen state, as a share of the median
+                        way that c steps go: above a half, the model says little
+    """
+    seen = imagined_episodes(policy, model, training, unseen)
+    success = seen.success
     return {
         "imagined_success": float(success.mean()),
-        "imagined_steps": float(np.median(first_met[success] + 1)) if success.any() else None,
-        "imagined_left_data": float(((first_off < steps) & ~success).mean()),
-        "model_error": model_error(model, unseen, problem.period_steps),
+        "imagined_steps": float(np.median(seen.first_met[success] + 1)) if success.any() else None,
+        "imagined_left_data": float(((seen.first_off < len(seen.places)) & ~success).mean()),
+        "model_error": model_error(model, unseen, policy.config.problem.period_steps),
     }
 
 
