@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
@@ -90,6 +91,12 @@ def train(
         )
     use = str(data_use(config.view, problem, training))
     say(f"{use}; training multiplies in {processor.settled(config.precision)}")
+    if task is None:
+        say(
+            f"a goal counts as met within {problem.radius:g}, a subgoal as reached within {problem.reach_radius:g} "
+            f"(--reach-radius); subgoals for every {problem.period_steps} steps (--period-steps), by default so many "
+            "that what moves goes three radii"
+        )
     say("compiling, which takes a minute at most for each stage")
     spec = RunSpec(
         task=task,
@@ -246,6 +253,32 @@ def plot(
     episodes = same_data(opened, data)
     chosen = _seed_index(opened, seed)
     return draw_run(opened, find_task(spec.task) if spec.task else None, episodes, spec.seeds[chosen], first_seed)
+
+
+def report(
+    run_directories: Sequence[str | Path | Run],
+    out: str | Path | None = None,
+    *,
+    first_seed: int = 0,
+    data: str | Path | Episodes | None = None,
+) -> Path:
+    """Write one HTML page about finished, scored runs (see guider.plots.report) and return its path.
+
+    out: a new file, default report.html in the first run, which is written anew; first_seed: of the episodes rolled
+        out;
+    data: where the first run's data is now, if it has moved.
+    """
+    from guider.plots.report import Subject
+    from guider.plots.report import report as page
+
+    opened = [runs.as_run(run) for run in run_directories]
+    subjects = [Subject(run, same_data(run, None if index else data)) for index, run in enumerate(opened)]
+    text = page(subjects, first_seed)
+    path = opened[0].directory / "report.html" if out is None else user_path(out)
+    if out is not None and os.path.lexists(path):
+        raise GuiderError(f"{path} exists already and is never overwritten; choose another --out")
+    files.write_bytes(path, text.encode())
+    return path
 
 
 def _check_seeds(seeds: tuple[int, ...]) -> None:

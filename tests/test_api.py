@@ -111,22 +111,28 @@ def test_numpy_numbers_are_numbers(started):
 
 def test_own_data_is_learned_from_whole(started):
     """No row is left out but where that was shown to help."""
-    said: list[str] = []
-    spec = plan(started, method="guider", say=said.append, held_out=0.0)
-    assert spec.config.view.minimum_move == 0
-    assert said[0].startswith("590 of 590 transitions (100%)")
-    assert "view.boundary=drop" in said[0] and "minimum_move" not in said[0]
-    plan(started, method="guider", settings={"view.minimum_move": 1.0}, say=said.append, held_out=0.0)
-    assert "left out by view.minimum_move=1 (rows whose goal entries move less within 5 steps)" in said[2]
-    assert int(said[2].split()[0]) < 590
-    assert said[2] == f"{started[-1][2]['data_use']}; training multiplies in {settled('auto')}"
+
+    def said(**options: Any) -> str:
+        lines: list[str] = []
+        spec = plan(started, method="guider", say=lines.append, held_out=0.0, **options)
+        assert lines[1].startswith("a goal counts as met within 0.5, a subgoal as reached within 1 (--reach-radius)")
+        assert f"every {spec.config.problem.period_steps} steps" in lines[1]
+        assert lines[0] == f"{started[-1][2]['data_use']}; training multiplies in {settled('auto')}"
+        return lines[0]
+
+    whole = said()
+    assert whole.startswith("590 of 590 transitions (100%)")
+    assert "view.boundary=drop" in whole and "minimum_move" not in whole
+    part = said(settings={"view.minimum_move": 1.0})
+    assert "left out by view.minimum_move=1 (rows whose goal entries move less within 20 steps)" in part
+    assert int(part.split()[0]) < 590
 
 
 def test_no_window_says_what_would_help():
     settings = {"view.minimum_move": 1.5}
     straight = episodes(observations=np.tile(np.arange(60.0) / 20, 10)[:, None] * [1, 0, 0, 0, 0])
     with pytest.raises(GuiderError, match=r"no window of 5 steps moves 1.5 .*furthest moves 0.25; .*--period-steps 40"):
-        api.train(data=straight, radius=0.5, method="bc", settings=settings, held_out=0, out="never")
+        api.train(data=straight, radius=0.5, period_steps=5, method="bc", settings=settings, held_out=0, out="never")
 
 
 def test_held_out_episodes_that_cannot_be_scored_are_told_before_training(started):

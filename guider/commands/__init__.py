@@ -11,6 +11,7 @@ from guider.commands.evaluate import evaluate
 from guider.commands.export import export
 from guider.commands.info import info
 from guider.commands.plot import plot
+from guider.commands.report import report
 from guider.commands.reproduce import reproduce
 from guider.commands.runs import runs
 from guider.commands.tasks import tasks
@@ -20,6 +21,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "train": train,
     "evaluate": evaluate,
     "plot": plot,
+    "report": report,
     "export": export,
     "tasks": tasks,
     "data": data,

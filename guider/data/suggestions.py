@@ -8,6 +8,7 @@ from guider.data.episodes import Episodes
 
 _LEAST_TRAVEL, _LEAST_ENDS = 0.1, 0.3
 _SPEED_CORRELATION = 0.8
+_PERIOD_RADII, _LEAST_PERIOD = 3.0, 5
 _RADIUS_OF_EXTENT, _RADIUS_OF_STEP = 0.03, 2.0
 
 
@@ -48,6 +49,28 @@ def suggested_radius(episodes: Episodes) -> float:
     extent = float(np.linalg.norm(np.quantile(achieved, 0.99, axis=0) - np.quantile(achieved, 0.01, axis=0)))
     radius = max(_RADIUS_OF_EXTENT * extent, _RADIUS_OF_STEP * float(np.median(moving)) if len(moving) else 0.0)
     return float(f"{radius:.1g}")
+
+
+def suggested_period(episodes: Episodes, radius: float) -> int:
+    """c, steps between subgoals: the fewest in which windows that move (further than `radius`) go three radii in the
+    median; 5 at least, a third of the median episode at most. Antmaze's come to some 50 so, the paper's number.
+    """
+    achieved, last = episodes.achieved.astype(np.float64), episodes.last_rows
+    rows = np.arange(len(achieved))
+
+    def goes_far(steps: int) -> bool:
+        first = rows[rows + steps <= last]
+        moved = np.linalg.norm(achieved[first + steps] - achieved[first], axis=1)
+        moved = moved[moved > radius]
+        return len(moved) > 0 and float(np.median(moved)) >= _PERIOD_RADII * radius
+
+    most = min(int(np.median(episodes.lengths)) // 3, int(episodes.lengths.max()) - 1)
+    low, high = min(_LEAST_PERIOD, int(episodes.lengths.max()) - 1), max(_LEAST_PERIOD, most)
+    high = max(low, min(high, int(episodes.lengths.max()) - 1))
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if goes_far(middle) else (middle + 1, high)
+    return low
 
 
 def rate(episodes: Episodes) -> float | None:

@@ -34,7 +34,7 @@ class LearningOptions(TypedDict, total=False):
     reach_radius: float
     """A subgoal counts as reached within this distance; by default the task's, or twice the radius."""
     period_steps: int
-    """Steps between subgoals (c); by default the task's, or a twentieth of the median episode, at least 5."""
+    """Steps between subgoals (c); by default the task's, or the fewest in which what moves goes three radii."""
     format: str
     """How to read the data, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl."""
     episode_ends: Sequence[str]

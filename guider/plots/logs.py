@@ -121,4 +121,5 @@ def _samples_handle(policy: Policy) -> list[Line2D]:
 
 
 def _entry_name(episodes: Episodes, entry: int) -> str:
-    return f"state entry {episodes.goal_indices[entry]}"
+    index = episodes.goal_indices[entry]
+    return episodes.state_names[index] if episodes.state_names else f"state entry {index}"

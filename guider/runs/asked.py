@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from guider import data as data_sources
 from guider.data import AS_FOUND, Reading
 from guider.data.columns import entries_called
 from guider.data.episodes import Episodes
+from guider.data.suggestions import suggested_period
 from guider.errors import GuiderError
 from guider.learning.options import LearningOptions, said
 from guider.learning.problem import Problem
@@ -77,10 +77,8 @@ def settle(
     if task is not None:
         problem = problem_of(find_task(task))
     else:
-        period = max(5, round(statistics.median(episodes.lengths.tolist()) / 20))
-        period = min(period, int(episodes.lengths.max()) - 1)
         radius = number(asked["radius"], "radius")
-        problem = Problem(radius, 2 * radius, period)
+        problem = Problem(radius, 2 * radius, suggested_period(episodes, radius))
         check_radius(problem, episodes)
     if "reach_radius" in asked:
         problem = replace(problem, reach_radius=number(asked["reach_radius"], "reach_radius"))
