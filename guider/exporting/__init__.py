@@ -38,6 +38,8 @@ def about(spec: RunSpec, seed: int, policy: Policy) -> dict[str, Any]:
         "data": Path(spec.data).name,
         "fingerprint": spec.fingerprint,
         "method": spec.method,
+        "state_names": list(spec.spaces.state_names),
+        "action_names": list(spec.spaces.action_names),
         "preset": spec.preset,
         "seed": seed,
         "state_dim": policy.state_dim,
