@@ -203,8 +203,8 @@ def imagined_scores(policy: Policy, model: Model, training: Episodes, unseen: Ep
     imagined_success:   share that meets the goal without leaving what was logged
     imagined_steps:     median steps until then
     imagined_left_data: share that left it first
-    model_error:        median error of the model after c logged actions from an unseen state, as a share of the median
-                        way that c steps go: above a half, the model says little
+    model_error:        error of the model after c logged actions from an unseen state, as a share of the way that c
+                        steps go, both in the root of the mean square: above a half, the model says little
     """
     seen = imagined_episodes(policy, model, training, unseen)
     success = seen.success
@@ -232,8 +232,8 @@ def model_error(model: Model, unseen: Episodes, period_steps: int) -> float | No
     states, _ = jax.lax.scan(one, states, logged)
     goal = list(unseen.goal_indices)
     began, ended = unseen.achieved[rows], unseen.achieved[rows + period_steps]
-    error = np.linalg.norm(np.asarray(states)[..., goal] - ended, axis=-1)
-    return float(np.median(error) / max(float(np.median(np.linalg.norm(ended - began, axis=-1))), 1e-30))
+    error, way = np.asarray(states)[..., goal] - ended, ended - began
+    return float(np.sqrt(np.mean(error**2) / max(float(np.mean(way**2)), 1e-30)))
 
 
 def _pairs(unseen: Episodes, least: float, goal_parts: Any) -> tuple[np.ndarray, np.ndarray]:

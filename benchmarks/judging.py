@@ -1,0 +1,119 @@
+"""What the score without a simulator is worth: eight policies of different quality, ranked by it and by the simulator.
+
+python -m benchmarks.judging [--scale S] [--json]
+
+On each of two tasks, policies are trained as on one's own data, with budgets from far too few updates on, and judged
+twice: by `imagined_success`, which sees logs alone, and by success in the simulator from the task's own starts. The
+named baseline is the favourite of imitation, `action_error`. Printed is Spearman's rank correlation of each with the
+simulator.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import spearmanr
+
+import guider
+from benchmarks.common import print_table
+from guider.data.write import write_d4rl
+from guider.evaluation.heldout import held_out_scores
+from guider.evaluation.imagined import fit_model, imagined_scores
+from guider.evaluation.rollouts import rollout
+from guider.tasks import find_task
+
+TASKS = {"pointmaze-medium": 60_000, "fetch-reach-expert": 20_000}
+"""Steps of data recorded for each, with seed 7."""
+HELD_OUT, EPISODES, FIRST_SEED = 0.1, 60, 3_000_000
+
+
+def _guider(latent: int, high: int, low: int) -> dict[str, Any]:
+    return {"latent.updates": latent, "high.updates": high, "low.updates": low}
+
+
+POLICIES: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("bc", {"updates": 200}),
+    ("bc", {"updates": 6_000}),
+    ("gcsl", {"updates": 200}),
+    ("gcsl", {"updates": 6_000}),
+    ("guider", _guider(200, 100, 300)),
+    ("guider", _guider(2_000, 300, 6_000)),
+    ("guider", _guider(2_000, 1_000, 6_000)),
+    ("guider-gcsl", _guider(2_000, 1_000, 3_000)),
+    ("guider-routes", {"latent.updates": 2_000, "low.updates": 6_000}),
+)
+
+
+def judged(name: str, steps: int, scale: float, folder: Path) -> list[dict[str, Any]]:
+    """A row for each policy: what logs say of it, and what the simulator does."""
+    task = find_task(name)
+    path = folder / f"{name}.hdf5"
+    assert task.collector is not None
+    write_d4rl(path, task.collector.record(steps, 7, lambda done, total: None), task.goal_indices, task.radius)
+    logs = guider.load_data(path, task.goal_indices)
+    training, unseen = logs.split(HELD_OUT)
+    model = fit_model(training)
+    rows = []
+    for number, (method, settings) in enumerate(POLICIES):
+        run = guider.train(
+            data=path,
+            goal_indices=task.goal_indices,
+            radius=task.radius,
+            method=method,
+            settings={setting: max(1, int(value * scale)) for setting, value in settings.items()},
+            held_out=HELD_OUT,
+            out=folder / f"{name}-{number}",
+        )
+        (policy,) = run.policies()
+        rows.append(
+            {
+                "task": name,
+                "policy": f"{method} {' '.join(map(str, settings.values()))}",
+                "success": float(rollout(policy, task, EPISODES, FIRST_SEED).success.mean()),
+                **imagined_scores(policy, model, training, unseen),
+                "action_error": held_out_scores(policy, unseen)["action_error"],
+            }
+        )
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scale", type=float, default=1.0, help="of all budgets")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    summary = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, steps in TASKS.items():
+            rows = judged(name, steps, arguments.scale, Path(folder))
+            success = [row["success"] for row in rows]
+            by_model = spearmanr([row["imagined_success"] for row in rows], success).statistic
+            by_imitation = spearmanr([-row["action_error"] for row in rows], success).statistic
+            summary.append(
+                {
+                    "task": name,
+                    "policies": len(rows),
+                    "imagined_success": float(by_model),
+                    "action_error": float(by_imitation),
+                }
+            )
+    if arguments.json:
+        print(json.dumps(summary))
+        return
+    print_table(
+        "rank correlation with success in the simulator",
+        ("task", "policies", "by imagined success", "by action error"),
+        [
+            (row["task"], str(row["policies"]), f"{row['imagined_success']:.2f}", f"{row['action_error']:.2f}")
+            for row in summary
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
