@@ -22,6 +22,11 @@ class Problem:
     """Entries of the goal that must each be within the radius (kitchen: one part per object); () is all as one part."""
     domain: str | None = None
     """Of the task, None for one's own data: presets differ between domains."""
+    goal_dim: int | None = None
+    """Of one's own data: entries of the goal space. Tasks leave it out, and so are what they were when they were
+    measured."""
+    transitions: int | None = None
+    """Of one's own data, likewise: how many there are to learn from."""
 
     def __post_init__(self) -> None:
         check_positive(self, "period_steps", "radius", "reach_radius")

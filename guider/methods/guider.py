@@ -68,6 +68,8 @@ class GuiderConfig:
     `high.prior` is off: where several things may come next, a mean lies between them (departure)."""
     final_goal_substitution: bool = False
     """Pursue the final goal itself where state or subgoal lie within reach_radius of it (authors' code: subgoal)."""
+    final_goal_within_reach: bool = False
+    """And where rho holds it for a place that c steps may lead to (departure; needs the above)."""
     latent: LatentSubgoalsConfig = field(default_factory=LatentSubgoalsConfig)
     high: SubgoalPolicyConfig = field(default_factory=SubgoalPolicyConfig)
     routes: RoutesConfig = field(default_factory=RoutesConfig)
@@ -235,11 +237,16 @@ def propose_subgoal(
         latent = _propose_latent(config, state, achieved, goal)
         subgoal = latent_subgoals.decode(config.latent, latents, state.scale, achieved, latent)
     if config.final_goal_substitution:
-        near = jnp.minimum(largest_distance(subgoal, goal, parts), largest_distance(achieved, goal, parts))[..., None]
-        subgoal = jnp.where(near <= reach_radius, goal, subgoal)
+        distance = jnp.minimum(largest_distance(subgoal, goal, parts), largest_distance(achieved, goal, parts))
+        near = distance <= reach_radius
+        if config.final_goal_within_reach:
+            near |= latent_subgoals.within_reach(
+                config.latent, latents, state.scale, achieved, goal, reach_radius, parts
+            )
+        subgoal = jnp.where(near[..., None], goal, subgoal)
         if config.low.subgoal_input == "latent":
             final = latent_subgoals.encode(config.latent, latents, state.scale, achieved, goal).mean
-            latent = jnp.where(near <= reach_radius, final, latent)
+            latent = jnp.where(near[..., None], final, latent)
     return subgoal, latent
 
 
@@ -327,7 +334,9 @@ def metric_labels(config: GuiderConfig) -> dict[str, str]:
 
 
 LATENT_DIM = {"fetch": 3, "kitchen": 8}
-"""Of latent subgoals, by domain; not published but for antmaze, whose 2 all others get."""
+"""Of latent subgoals, by domain; not published but for antmaze, whose 2 other tasks get. One's own data gets one for
+each entry of the goal space, up to MOST_LATENTS."""
+LEAST_LATENTS, MOST_LATENTS = 2, 8
 
 FAST: Changes = (
     under("latent", latent_subgoals.FAST)
@@ -338,6 +347,8 @@ FAST: Changes = (
 _ARM: Changes = MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
+    # One's own data. A robot that can be at its goal in c steps goes there, however coarse pi_h is about it.
+    None: {"final_goal_within_reach": True},
     # How to round corners without falling is what takes long to learn.
     "antmaze": _IN_METRES | {"low.updates": 100_000},
     "pointmaze": _IN_METRES,
@@ -372,7 +383,8 @@ def guider_config(
     """Settings for a problem, with another learner for the low level where one is given (Figure 4), which `fast` trains
     for `low_updates` times as many updates: dear ones take no longer than Guider's own."""
     goal_learner = low or AwrConfig()
-    latent = LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", 2))
+    of_own = min(MOST_LATENTS, max(LEAST_LATENTS, problem.goal_dim or 0))
+    latent = LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", of_own))
     level = GoalPolicyConfig(learner=goal_learner)
     paper = GuiderConfig(problem=problem, planner=planner, latent=latent, low=level)
     if preset == "paper":

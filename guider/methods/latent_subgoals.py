@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from guider.errors import GuiderError
+from guider.goals import Parts, largest_distance
 from guider.learning import losses
 from guider.learning.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init
 from guider.learning.optimisers import Moments, adam_init, adam_step
@@ -131,8 +132,31 @@ def coverage(
     config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, achieved: jax.Array, later: jax.Array
 ) -> jax.Array:
     """Share of the latent entries of moves [B, G] -> [B, G] that lie within rho's central 95 %: 0.95 where it fits."""
+    return jnp.mean(_likely(config, params, scale, achieved, later)[0])
+
+
+def within_reach(
+    config: LatentSubgoalsConfig,
+    params: LatentParams,
+    scale: Scale,
+    achieved: jax.Array,
+    place: jax.Array,
+    radius: float,
+    parts: Parts = (),
+) -> jax.Array:
+    """[B] bool: whether rho holds `place` for one that c steps may lead to: all entries of its latent lie within the
+    central 95 %, and it is what that decodes to, within `radius`. achieved, place: [B, G]."""
+    likely, latent = _likely(config, params, scale, achieved, place)
+    told = decode(config, params, scale, achieved, latent)
+    return likely.all(axis=-1) & (largest_distance(told, place, parts) <= radius)
+
+
+def _likely(
+    config: LatentSubgoalsConfig, params: LatentParams, scale: Scale, achieved: jax.Array, later: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """([B, Z] whether each latent entry of a move lies within rho's central 95 %, the latent [B, Z])."""
     latent, expected = encode(config, params, scale, achieved, later).mean, prior(params, scale, achieved)
-    return jnp.mean(jnp.abs(latent - expected.mean) <= INSIDE_95 * jnp.exp(expected.log_std))
+    return jnp.abs(latent - expected.mean) <= INSIDE_95 * jnp.exp(expected.log_std), latent
 
 
 def loss(

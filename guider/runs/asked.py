@@ -78,7 +78,13 @@ def settle(
         problem = problem_of(find_task(task))
     else:
         radius = number(asked["radius"], "radius")
-        problem = Problem(radius, 2 * radius, suggested_period(episodes, radius))
+        problem = Problem(
+            radius,
+            2 * radius,
+            suggested_period(episodes, radius),
+            goal_dim=len(episodes.goal_indices),
+            transitions=int(np.sum(episodes.lengths - 1)),
+        )
         check_radius(problem, episodes)
     if "reach_radius" in asked:
         problem = replace(problem, reach_radius=number(asked["reach_radius"], "reach_radius"))

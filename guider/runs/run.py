@@ -32,11 +32,11 @@ from guider.methods import find_method
 from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
-from guider.support.config import from_dict, to_dict
+from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 8
-EARLIER = (6, 7)
+FORMAT = 9
+EARLIER = (6, 7, 8)
 """Read too: settings that came later have defaults that are what was done before."""
 
 
@@ -170,9 +170,9 @@ def open_run(directory: str | Path) -> Run:
         raise GuiderError(f"{path}: {error}") from None
     settings = values.pop("config", {})
     if made in EARLIER and isinstance(settings, dict):
-        settings = to_dict(method.config_type()) | settings
+        settings = merged(to_dict(method.config_type()), settings)
         said = {name: values.pop(name) for name in ("format", "episode_ends") if name in values}
-        values["reading"] = to_dict(AS_FOUND) | said
+        values.setdefault("reading", to_dict(AS_FOUND) | said)
         values["spaces"] = {"state_names": [], "action_names": []} | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))

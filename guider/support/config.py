@@ -66,6 +66,12 @@ def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def merged(defaults: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """`given`, and from `defaults` what it lacks, in the settings within settings too."""
+    both = (name for name, value in given.items() if isinstance(value, dict) and isinstance(defaults.get(name), dict))
+    return defaults | given | {name: merged(defaults[name], given[name]) for name in both}
+
+
 def under(name: str, changes: Changes) -> Changes:
     """The same settings of the config that `name` leads to."""
     return {f"{name}.{setting}": value for setting, value in changes.items()}

@@ -163,6 +163,41 @@ def test_coverage_is_the_share_within_the_priors_central_95_percent(monkeypatch)
     assert float(covered) == pytest.approx(3 / 5)
 
 
+def test_within_reach_is_what_the_prior_holds_for_likely_and_decodes_to(monkeypatch):
+    """Two latents, N(0, 2^2) and N(0, 1); what is decoded stops 1.5 away from where it starts, in the first entry."""
+    monkeypatch.setattr(latent_subgoals, "encode", lambda c, p, s, here, later: Gaussian(later - here, 0 * here))
+    spread = jnp.log(jnp.array([2.0, 1.0]))
+    monkeypatch.setattr(latent_subgoals, "prior", lambda p, s, here: Gaussian(0 * here, 0 * here + spread))
+
+    def decode(config, params, scale, here, latent):
+        return here + jnp.stack([jnp.clip(latent[:, 0], -1.5, 1.5), latent[:, 1]], axis=1)
+
+    monkeypatch.setattr(latent_subgoals, "decode", decode)
+    moves = jnp.array([[1.0, 0.0], [1.0, 1.9], [1.0, 2.0], [1.9, 0.0], [2.1, 0.0], [-4.0, 0.0]])
+    config, state = GuiderConfig().latent, cast(Any, jnp.zeros(0))
+    found = latent_subgoals.within_reach(config, state, plain_scale(), jnp.ones((6, 2)), 1 + moves, 0.5)
+    assert found.tolist() == [True, True, False, True, False, False]
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_final_goal_within_reach_is_pursued(monkeypatch, asked):
+    monkeypatch.setattr(
+        latent_subgoals, "within_reach", lambda c, p, s, here, place, r, parts: jnp.array([True, False])
+    )
+    paper = guider_config("paper", Problem(0.1, 0.2, 5))
+    config = replace(paper, final_goal_substitution=True, final_goal_within_reach=asked)
+    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(1))
+    goal = jnp.full((2, 2), 9.0)
+    subgoal, _ = method.propose_subgoal(config, state, jnp.zeros((2, 2)), goal)
+    assert (subgoal == goal).all(axis=1).tolist() == [asked, False]
+
+
+def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
+    dims = [guider_config("fast", Problem(goal_dim=n)).latent.latent_dim for n in (None, 1, 3, 8, 21)]
+    assert dims == [2, 2, 3, 8, 8]
+    assert guider_config("fast", Problem(domain="kitchen", goal_dim=2)).latent.latent_dim == 8
+
+
 def test_targets_start_as_copies_of_the_critics():
     state = method.init(
         guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, plain_scale(), jax.random.key(1)
