@@ -69,4 +69,22 @@ TABLE: Table = {
         ("len(chosen) >= 3", "len(chosen) >= 2", "evaluation/test_heldout.py"),
         ("np.ptp(chosen) > 0", "np.ptp(chosen) >= 0", "evaluation/test_heldout.py"),
     ],
+    "guider/evaluation/imagined.py": [
+        ("jnp.round(changes / around)", "0", "evaluation/test_imagined.py"),
+        ("np.minimum(self.first_off, len(self.places))", "self.first_off", "evaluation/test_imagined.py"),
+        ("later = states + model.change + ", "later = states + ", "evaluation/test_imagined.py"),
+        ("> max(problem.reach_radius, apart)", "> np.inf", "evaluation/test_imagined.py"),
+        (
+            "largest_distance(places, goals, problem.goal_parts) <= problem.radius",
+            "largest_distance(places, goals, problem.goal_parts) <= 0",
+            "evaluation/test_imagined.py",
+        ),
+    ],
+    "guider/evaluation/trust.py": [
+        ("error > MOST_MODEL_ERROR", "error < MOST_MODEL_ERROR", "evaluation/test_imagined.py"),
+        ("< LEAST_SUCCESS", "> LEAST_SUCCESS", "evaluation/test_imagined.py"),
+        ("> MOST_LEFT", "> 1", "evaluation/test_imagined.py"),
+        ("< LEAST_COVERAGE", "< 0", "evaluation/test_imagined.py"),
+        ("< LEAST_IN_RANGE", "< 0", "evaluation/test_imagined.py"),
+    ],
 }

@@ -17,6 +17,7 @@ _SKILLS = "methods/test_opal.py::test_high_transitions_by_hand"
 _SKILL_TIME = "methods/test_opal.py::test_a_new_skill_every_period_and_at_resets"
 _RELABEL = "methods/test_guider.py::test_high_relabelling_by_hand"
 _LOW_INPUTS = "methods/test_guider.py::test_low_inputs_and_reward_by_hand"
+_WITHIN = "methods/test_guider.py::test_within_reach_is_what_the_prior_holds_for_likely_and_decodes_to"
 _COVERAGE = "methods/test_guider.py::test_coverage_is_the_share_within_the_priors_central_95_percent"
 _NAMED = "methods/test_hiql.py::test_a_place_that_is_named_is_found_again_and_shown_as_the_subgoal"
 _CANDIDATES = "methods/test_guider.py::test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses"
@@ -98,6 +99,8 @@ TABLE: Table = {
         ("every[1] != unclipped", "every[1] == unclipped", "methods/test_view.py"),
     ],
     "guider/methods/latent_subgoals.py": [
+        ("return likely.all(axis=-1) & (", "return likely.any(axis=-1) & (", _WITHIN),
+        ("likely.all(axis=-1) & (largest_distance(told, place, parts) <= radius)", "likely.all(axis=-1)", _WITHIN),
         ("INSIDE_95 = 1.959964", "INSIDE_95 = 1.644854", _COVERAGE),
         ("INSIDE_95 * jnp.exp(expected.log_std)", "INSIDE_95", _COVERAGE),
         (
