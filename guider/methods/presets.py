@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from guider.learning.problem import Problem
 from guider.methods.view import ViewConfig
-from guider.support.config import ByDomain, Changes, override
+from guider.support.config import ByDomain, Changes, flatten, override, to_dict
 
 C = TypeVar("C")
 
@@ -24,6 +24,8 @@ IN_DOMAIN: ByDomain = {
 }
 """Where every method's `fast` differs between domains."""
 
+MOST_PASSES, LEAST_UPDATES = 120, 2_000
+
 MANIPULATION: Changes = {"view.move_within": "episode", "view.position_waves": 0}
 """For goals that stand still until something is touched: whether an episode moves them at all is what counts."""
 
@@ -34,4 +36,16 @@ def fast(paper: C, changes: Changes, in_domain: ByDomain) -> C:
     minimum_move = problem.reach_radius if problem.domain in IDLE_STRETCHES else 0.0
     view = ViewConfig(boundary="drop", minimum_move=minimum_move, normalise=True, position_waves=4)
     in_domains = IN_DOMAIN.get(problem.domain, {}) | in_domain.get(problem.domain, {})
-    return override(replace(paper, view=view), {"precision": "auto"} | changes | in_domains)  # pyright: ignore
+    config = override(replace(paper, view=view), {"precision": "auto"} | changes | in_domains)  # pyright: ignore
+    return _not_by_heart(config, problem.transitions)
+
+
+def _not_by_heart(config: C, transitions: int | None) -> C:
+    """On one's own data, what chooses actions is trained for no more than MOST_PASSES over the transitions: after more,
+    it has learned the noise in the logged actions too."""
+    settings = flatten(to_dict(config))
+    level = "low." if "low.updates" in settings else ""
+    if transitions is None or f"{level}updates" not in settings:
+        return config
+    most = max(LEAST_UPDATES, MOST_PASSES * transitions // settings[f"{level}batch_size"])
+    return override(config, {f"{level}updates": min(most, settings[f"{level}updates"])})

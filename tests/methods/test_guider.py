@@ -20,8 +20,8 @@ from guider.learning.networks import Gaussian, twin_values
 from guider.learning.problem import Problem
 from guider.learning.samplers import HighBatch, LowBatch, Windows
 from guider.learning.training import init_seeds, train
+from guider.methods import METHODS, latent_subgoals, subgoal_policy
 from guider.methods import guider as method
-from guider.methods import latent_subgoals, subgoal_policy
 from guider.methods.guider import GuiderConfig, guider_config
 from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.policy import Policy, act, initial_state
@@ -190,6 +190,19 @@ def test_a_final_goal_within_reach_is_pursued(monkeypatch, asked):
     goal = jnp.full((2, 2), 9.0)
     subgoal, _ = method.propose_subgoal(config, state, jnp.zeros((2, 2)), goal)
     assert (subgoal == goal).all(axis=1).tolist() == [asked, False]
+
+
+@pytest.mark.parametrize("name", ["guider", "hiql", "gcsl"])
+def test_little_data_of_ones_own_is_not_learned_by_heart(name):
+    """120 passes over 25,600 transitions in batches of 256 are 12,000 updates."""
+
+    def updates(transitions: int | None, preset: Any = "fast") -> int:
+        config: Any = METHODS[name].config(preset, Problem(transitions=transitions))
+        return (config.low if hasattr(config, "low") else config).updates
+
+    assert updates(25_600) == 12_000 and updates(100) == 2_000
+    assert updates(10**7) == updates(None) > 20_000
+    assert updates(100, "paper") > 20_000
 
 
 def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
