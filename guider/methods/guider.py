@@ -333,11 +333,6 @@ def metric_labels(config: GuiderConfig) -> dict[str, str]:
     }
 
 
-LATENT_DIM = {"fetch": 3, "kitchen": 8}
-"""Of latent subgoals, by domain; not published but for antmaze, whose 2 other tasks get. One's own data gets one for
-each entry of the goal space, up to MOST_LATENTS."""
-LEAST_LATENTS, MOST_LATENTS = 2, 8
-
 FAST: Changes = (
     under("latent", latent_subgoals.FAST)
     | under("high", subgoal_policy.FAST)
@@ -383,8 +378,7 @@ def guider_config(
     """Settings for a problem, with another learner for the low level where one is given (Figure 4), which `fast` trains
     for `low_updates` times as many updates: dear ones take no longer than Guider's own."""
     goal_learner = low or AwrConfig()
-    of_own = min(MOST_LATENTS, max(LEAST_LATENTS, problem.goal_dim or 0))
-    latent = LatentSubgoalsConfig(latent_dim=LATENT_DIM.get(problem.domain or "", of_own))
+    latent = LatentSubgoalsConfig(latent_dim=latent_subgoals.latent_dim(problem))
     level = GoalPolicyConfig(learner=goal_learner)
     paper = GuiderConfig(problem=problem, planner=planner, latent=latent, low=level)
     if preset == "paper":

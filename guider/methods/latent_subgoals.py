@@ -14,6 +14,7 @@ from guider.goals import Parts, largest_distance
 from guider.learning import losses
 from guider.learning.networks import Gaussian, Initialisation, Layers, gaussian_head, mlp, mlp_init
 from guider.learning.optimisers import Moments, adam_init, adam_step
+from guider.learning.problem import Problem
 from guider.learning.samplers import Windows
 from guider.learning.training import Metrics
 from guider.methods.view import Scale
@@ -65,6 +66,16 @@ FAST: Changes = {
     "initialisation": "fan_in",
 }
 """What preset `fast` changes."""
+
+LATENT_DIM = {"fetch": 3, "kitchen": 8}
+LEAST_LATENTS, MOST_LATENTS = 2, 8
+
+
+def latent_dim(problem: Problem) -> int:
+    """Of latent subgoals, by domain; not published but for antmaze, whose 2 other tasks get. One's own data gets one
+    for each entry of the goal space, up to MOST_LATENTS."""
+    of_own = min(MOST_LATENTS, max(LEAST_LATENTS, problem.goal_dim or 0))
+    return LATENT_DIM.get(problem.domain or "", of_own)
 
 
 class LatentParams(NamedTuple):
