@@ -19,9 +19,8 @@ from guider.evaluation.score import keep_score, score
 from guider.learning import processor
 from guider.learning.options import LearningOptions, said
 from guider.learning.training import Chunk
-from guider.learning.windows import no_window
 from guider.methods.policy import Agent
-from guider.methods.view import data_use, learned_windows
+from guider.methods.view import data_use, learned_windows, why_no_window
 from guider.runs import Pace, Run, RunSpec
 from guider.runs.asked import check, find_data, number, reading_of, settle, whole
 from guider.runs.source import lasting, same_data
@@ -86,7 +85,7 @@ def train(
     if unseen is not None and len(learned_windows(config.view, problem, unseen)) == 0:
         raise GuiderError(
             f"{episodes.source}: the {len(unseen.starts)} episodes held out could not be scored: "
-            f"{no_window(unseen, problem.period_steps, config.view.minimum_move)}; or hold out more (--held-out), or "
+            f"{why_no_window(config.view, problem, unseen)}; or hold out more (--held-out), or "
             "none (--held-out 0)"
         )
     use = str(data_use(config.view, problem, training))
@@ -130,7 +129,7 @@ def inspect(data: str | Path, *, task: str | None = None, **options: Unpack[Lear
         return description
     problem, config = settle(task, episodes, None, options)
     use = data_use(config.view, problem, episodes)
-    refused = "" if use.windows else f"; {no_window(episodes, problem.period_steps, config.view.minimum_move)}"
+    refused = "" if use.windows else f"; {why_no_window(config.view, problem, episodes)}"
     return description | {
         "training": {
             "method": asked["method"],

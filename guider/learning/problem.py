@@ -27,6 +27,8 @@ class Problem:
     measured."""
     transitions: int | None = None
     """Of one's own data, likewise: how many there are to learn from."""
+    window_move: float = 0.0
+    """Of one's own data: how far a window of c steps goes at least that says what is reachable (goal units)."""
 
     def __post_init__(self) -> None:
         check_positive(self, "period_steps", "radius", "reach_radius")

@@ -60,12 +60,28 @@ def window_starts(
     return rows[keep]
 
 
+def moving_windows(
+    episodes: Episodes,
+    period_steps: int,
+    boundary: Boundary,
+    minimum_move: float,
+    move_within: MoveWithin,
+    minimum_window_move: float,
+) -> np.ndarray:
+    """`window_starts`, of which those that go less far than `minimum_window_move` from end to end are left out."""
+    starts = window_starts(episodes, period_steps, boundary, minimum_move, move_within)
+    if minimum_window_move == 0:
+        return starts
+    return np.intersect1d(starts, window_starts(episodes, period_steps, boundary, minimum_window_move))
+
+
 def device_data(
     episodes: Episodes,
     period_steps: int,
     boundary: Boundary,
     minimum_move: float,
     move_within: MoveWithin = "period",
+    minimum_window_move: float = 0.0,
 ) -> Data:
     """Episodes on the device; a CPU device shares their memory. Transitions are learned from where a clipped window
     may start, see `window_starts`. Raises GuiderError where there is no window."""
@@ -73,9 +89,9 @@ def device_data(
     half_range = (episodes.action_high - episodes.action_low) / 2
     centre = (episodes.action_high + episodes.action_low) / 2
     transition_rows = window_starts(episodes, period_steps, "clip", minimum_move, move_within)
-    window_rows = window_starts(episodes, period_steps, boundary, minimum_move, move_within)
+    window_rows = moving_windows(episodes, period_steps, boundary, minimum_move, move_within, minimum_window_move)
     if len(window_rows) == 0:
-        raise GuiderError(f"{episodes.source}: {no_window(episodes, period_steps, minimum_move)}")
+        raise GuiderError(f"{episodes.source}: {no_window(episodes, period_steps, minimum_move, minimum_window_move)}")
     return Data(
         observations=jax.device_put(episodes.observations, may_alias=True),
         actions=jnp.asarray((episodes.actions - centre) / half_range),
@@ -87,8 +103,10 @@ def device_data(
     )
 
 
-def no_window(episodes: Episodes, period_steps: int, minimum_move: float) -> str:
-    """Why no row starts a window of c = `period_steps` steps that moves `minimum_move`, and what would help."""
+def no_window(episodes: Episodes, period_steps: int, minimum_move: float, minimum_window_move: float = 0.0) -> str:
+    """Why no row starts a window of c = `period_steps` steps that moves so far, and what would help."""
+    setting = "minimum_move" if minimum_move >= minimum_window_move else "minimum_window_move"
+    minimum_move = max(minimum_move, minimum_window_move)
     longest = int(episodes.lengths.max())
     if longest <= period_steps:
         return (
@@ -100,8 +118,8 @@ def no_window(episodes: Episodes, period_steps: int, minimum_move: float) -> str
     enough = next((steps for steps, move in furthest.items() if move >= minimum_move), None)
     longer = f"a longer period (--period-steps {enough}), or " if enough else ""
     return (
-        f"no window of {period_steps} steps moves {minimum_move:g} in goal space (view.minimum_move), the furthest "
-        f"moves {here:.3g}; choose {longer}a smaller distance (--set view.minimum_move={here / 2:.2g}; 0 learns from "
+        f"no window of {period_steps} steps moves {minimum_move:g} in goal space (view.{setting}), the furthest "
+        f"moves {here:.3g}; choose {longer}a smaller distance (--set view.{setting}={here / 2:.2g}; 0 learns from "
         "every row)"
     )
 

@@ -34,7 +34,13 @@ def fast(paper: C, changes: Changes, in_domain: ByDomain) -> C:
     """A method's config with `fast`'s changes to every method, its own, and those of both in the problem's domain."""
     problem: Problem = paper.problem  # pyright: ignore[reportAttributeAccessIssue]
     minimum_move = problem.reach_radius if problem.domain in IDLE_STRETCHES else 0.0
-    view = ViewConfig(boundary="drop", minimum_move=minimum_move, normalise=True, position_waves=4)
+    view = ViewConfig(
+        boundary="drop",
+        minimum_move=minimum_move,
+        minimum_window_move=problem.window_move,
+        normalise=True,
+        position_waves=4,
+    )
     in_domains = IN_DOMAIN.get(problem.domain, {}) | in_domain.get(problem.domain, {})
     config = override(replace(paper, view=view), {"precision": "auto"} | changes | in_domains)  # pyright: ignore
     return _not_by_heart(config, problem.transitions)

@@ -14,7 +14,16 @@ from guider.data.episodes import SMALLEST_SPREAD, Episodes, Spaces
 from guider.errors import GuiderError, GuiderWarning
 from guider.goals import largest_distance
 from guider.learning.problem import Problem
-from guider.learning.windows import Boundary, Data, MoveWithin, device_data, moves, window_starts
+from guider.learning.windows import (
+    Boundary,
+    Data,
+    MoveWithin,
+    device_data,
+    moves,
+    moving_windows,
+    no_window,
+    window_starts,
+)
 from guider.support.config import check_not_negative, check_positive
 
 _FINEST_STEP = 0.1
@@ -30,6 +39,9 @@ class ViewConfig:
     minimum_move: float = 0.0
     """Learn only where s^G moves this far or further (goal units), so that idle stretches do not shape what is learned
     (departure; 0 keeps all)."""
+    minimum_window_move: float = 0.0
+    """And the same, within c steps, of the windows alone that say what is reachable: resting is learned from too, but
+    must not make all moves look unlikely to the prior (departure)."""
     move_within: MoveWithin = "period"
     """Where it has to: from here to c steps on, or from the episode's first state to any other of it."""
     normalise: bool = False
@@ -42,7 +54,7 @@ class ViewConfig:
     a wall apart (departure; needs `normalise`)."""
 
     def __post_init__(self) -> None:
-        check_not_negative(self, "minimum_move", "position_waves")
+        check_not_negative(self, "minimum_move", "minimum_window_move", "position_waves")
         check_positive(self, "smallest_spread")
         if self.position_waves and not self.normalise:
             raise GuiderError("position_waves needs normalise: wavelengths are counted in spreads of the data")
@@ -85,7 +97,9 @@ def wave_frequencies(count: int) -> jax.Array:
 
 def prepare(view: ViewConfig, problem: Problem, episodes: Episodes) -> tuple[Data, Scale]:
     """Data on the device and the scaling it implies."""
-    data = device_data(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
+    data = device_data(
+        episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within, view.minimum_window_move
+    )
     if not view.normalise:
         return data, unit_scale(view, episodes.spaces)
     rows = np.asarray(data.window_rows)
@@ -94,7 +108,14 @@ def prepare(view: ViewConfig, problem: Problem, episodes: Episodes) -> tuple[Dat
 
 def learned_windows(view: ViewConfig, problem: Problem, episodes: Episodes) -> np.ndarray:
     """[W] rows of `episodes` that start a c-step window which training draws from."""
-    return window_starts(episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within)
+    return moving_windows(
+        episodes, problem.period_steps, view.boundary, view.minimum_move, view.move_within, view.minimum_window_move
+    )
+
+
+def why_no_window(view: ViewConfig, problem: Problem, episodes: Episodes) -> str:
+    """Why `learned_windows` are none, and what would help."""
+    return no_window(episodes, problem.period_steps, view.minimum_move, view.minimum_window_move)
 
 
 @dataclass(frozen=True)
@@ -123,15 +144,19 @@ def data_use(view: ViewConfig, problem: Problem, episodes: Episodes) -> Use:
     used, every = (
         (
             len(window_starts(episodes, period, "clip", move, within)),
-            len(window_starts(episodes, period, view.boundary, move, within)),
+            len(moving_windows(episodes, period, view.boundary, move, within, window_move)),
         )
-        for move in (distance, 0.0)
+        for move, window_move in ((distance, view.minimum_window_move), (0.0, 0.0))
     )
     unclipped = len(window_starts(episodes, period, "clip"))
     settings = []
-    if used != every:
+    if distance and used != every:
         where = f"{period} steps" if within == "period" else "their episode"
         settings.append(f"view.minimum_move={distance:g} (rows whose goal entries move less within {where})")
+    if view.minimum_window_move and used[1] != every[1]:
+        settings.append(
+            f"view.minimum_window_move={view.minimum_window_move:g} (windows that move less within {period} steps)"
+        )
     if every[1] != unclipped:
         settings.append(f"view.boundary={view.boundary} (windows of {period} steps that would leave their episode)")
     return Use(used[0], every[0], used[1], unclipped, tuple(settings))

@@ -17,10 +17,14 @@ from guider.data.suggestions import suggested_period
 from guider.errors import GuiderError
 from guider.learning.options import LearningOptions, said
 from guider.learning.problem import Problem
+from guider.learning.windows import moves
 from guider.methods import preset_config
 from guider.methods.view import check_radius
 from guider.support.config import override
 from guider.tasks import Task, find_task
+
+MOVING_SHARE = 0.1
+"""Of windows that must go a radius or further, before others are left out."""
 
 
 def check(task: str | None, settings: dict[str, Any] | None, options: LearningOptions) -> None:
@@ -78,10 +82,12 @@ def settle(
         problem = problem_of(find_task(task))
     else:
         radius = number(asked["radius"], "radius")
+        period = suggested_period(episodes, radius)
         problem = Problem(
             radius,
             2 * radius,
-            suggested_period(episodes, radius),
+            period,
+            window_move=radius if float(np.mean(moves(episodes, period) >= radius)) >= MOVING_SHARE else 0.0,
             goal_dim=len(episodes.goal_indices),
             transitions=int(np.sum(episodes.lengths - 1)),
         )

@@ -35,8 +35,8 @@ from guider.runs import checkpoint
 from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 9
-EARLIER = (6, 7, 8)
+FORMAT = 10
+EARLIER = (6, 7, 8, 9)
 """Read too: settings that came later have defaults that are what was done before."""
 
 

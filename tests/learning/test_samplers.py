@@ -28,6 +28,15 @@ def test_minimum_move_leaves_out_idle_windows(minimum_move):
     assert window_starts(episodes, 2, "drop", minimum_move).tolist() == [1, 2]
 
 
+def test_idle_windows_alone_are_left_out():
+    """All transitions are learned from; of windows, those within `drop` that move as far as asked."""
+    episodes = make_episodes(np.array([[0.0], [0], [1], [3], [3], [3]]), np.zeros((6, 1)), [6], (0,))
+    data = device_data(episodes, 2, "drop", 0.0, "period", 2.0)
+    assert data.transition_rows.tolist() == [0, 1, 2, 3, 4] and data.window_rows.tolist() == [1, 2]
+    assert device_data(episodes, 2, "drop", 0.0).window_rows.tolist() == [0, 1, 2, 3]
+    assert device_data(episodes, 2, "drop", 3.0, "period", 2.0).window_rows.tolist() == [1]
+
+
 def test_minimum_move_leaves_out_idle_episodes():
     """Three episodes: one that goes 2 away and comes back, one that stays, one that drifts by 0.9."""
     position = np.array([0.0, 2.0, 0.0, 5.0, 5.0, 5.0, 7.0, 7.4, 7.9])[:, None]
