@@ -3,9 +3,9 @@
 python -m benchmarks.judging [--scale S] [--json]
 
 On each of two tasks, policies are trained as on one's own data, with budgets from far too few updates on, and judged
-twice: by `imagined_success`, which sees logs alone, and by success in the simulator from the task's own starts. The
-named baseline is the favourite of imitation, `action_error`. Printed is Spearman's rank correlation of each with the
-simulator.
+twice: by `imagined_success`, which sees logs alone, and by success in the simulator on starts and goals such as the
+logs have. The named baseline is the favourite of imitation, `action_error`. Printed is Spearman's rank correlation of
+each with the simulator.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,9 @@ from guider.data.write import write_d4rl
 from guider.evaluation.heldout import held_out_scores
 from guider.evaluation.imagined import fit_model, imagined_scores
 from guider.evaluation.rollouts import rollout
-from guider.tasks import find_task
+from guider.tasks import find_task, pointmaze
+from guider.tasks.simulation import MujocoVectorEnv, Start
+from guider.tasks.types import Task
 
 TASKS = {"pointmaze-umaze": 40_000, "fetch-reach-mixed": 40_000}
 """Steps of data recorded for each, with seed 7."""
@@ -50,9 +53,23 @@ POLICIES: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 
 
+def as_logged(task: Task) -> Task:
+    """The task with starts and goals such as its logs have: in mazes between any two cells."""
+    maze = task.maze
+    if maze is None:
+        return task
+
+    def start(rng: np.random.Generator) -> Start:
+        begin, end = (pointmaze.sample_start_anywhere(maze, rng) for _ in range(2))
+        return replace(begin, goal=end.qpos)
+
+    model = pointmaze.point_model(maze)
+    return replace(task, make_env=lambda count: MujocoVectorEnv(model, pointmaze.FRAME_SKIP, start, count))
+
+
 def judged(name: str, steps: int, scale: float, folder: Path) -> list[dict[str, Any]]:
     """A row for each policy: what logs say of it, and what the simulator does."""
-    task = find_task(name)
+    task = as_logged(find_task(name))
     path = folder / f"{name}.hdf5"
     assert task.collector is not None
     write_d4rl(path, task.collector.record(steps, 7, lambda done, total: None), task.goal_indices, task.radius)
