@@ -191,7 +191,7 @@ TABLE: Table = {
         ),
         ("state.scale, batch.chosen_at, batch.subgoal", "state.scale, batch.achieved, batch.subgoal", _STALE_LATENT),
         ("state.scale, achieved) if config.high.prior else policy", "state.scale, achieved)", _CANDIDATES),
-        ("near <= reach_radius, goal, subgoal", "near > reach_radius, goal, subgoal", _SUBSTITUTED),
+        ("near = distance <= reach_radius", "near = distance > reach_radius", _SUBSTITUTED),
         ("acting.steps_left <= 0)", "acting.steps_left <= 1)", _PERIOD),
         ("reset_mask | (acting.steps_left", "(acting.steps_left", _BEGINS),
         ('if config.replan == "reached":', 'if config.replan == "period":', _REACHED),
