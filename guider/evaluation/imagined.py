@@ -157,7 +157,7 @@ class Imagined:
     @property
     def success(self) -> np.ndarray:
         """[K, B] bool: the goal was met, and nowhere before was nothing logged."""
-        return self.first_met < np.minimum(self.first_off, len(self.places))
+        return self.first_met < self.first_off
 
     def traces(self, count: int) -> tuple[Trace, ...]:
         """The first episodes in the first member's world, failures in front."""

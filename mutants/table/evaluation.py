@@ -71,7 +71,7 @@ TABLE: Table = {
     ],
     "guider/evaluation/imagined.py": [
         ("jnp.round(changes / around)", "0", "evaluation/test_imagined.py"),
-        ("np.minimum(self.first_off, len(self.places))", "self.first_off", "evaluation/test_imagined.py"),
+        ("self.first_met < self.first_off", "self.first_met <= self.first_off", "evaluation/test_imagined.py"),
         ("later = states + model.change + ", "later = states + ", "evaluation/test_imagined.py"),
         ("> max(problem.reach_radius, apart)", "> np.inf", "evaluation/test_imagined.py"),
         (
