@@ -29,7 +29,7 @@ _OTHER_COLUMN = re.compile(
     re.IGNORECASE,
 )
 _MOST_CHOICES = 32
-_TABLES = ("CSV", "parquet", "npy")
+_TABLES, _FILES = ("CSV", "parquet", "npy"), ("HDF5", "npz")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ def choose_states(store: Store, patterns: tuple[str, ...] = ()) -> Chosen:
                 f"{pictured} holds pictures, and policies here see vectors; record joint or body positions "
                 "beside them, and say which they are (--state NAME)"
             )
-        store.require(STATES[0]) if store.kind in ("HDF5", "npz") else None
+        if store.kind in _FILES:
+            store.require(STATES[0])
         raise store.fail(
             f"which columns are the state? Say so (--state NAME ...); vectors of numbers are {_listed(store)}"
         )
@@ -75,7 +76,8 @@ def choose_actions(store: Store, patterns: tuple[str, ...] = ()) -> Chosen:
         if not keys and store.kind in _TABLES:
             keys = [key for key in store.keys if _is_numbers(store, key) and _ACTION_COLUMN.match(key)]
         if not keys:
-            store.require(ACTIONS[0]) if store.kind in ("HDF5", "npz") else None
+            if store.kind in _FILES:
+                store.require(ACTIONS[0])
             raise store.fail(
                 f"which columns are the action? Say so (--action NAME ...); vectors of numbers are {_listed(store)}"
             )

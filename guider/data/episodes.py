@@ -45,6 +45,11 @@ class Spaces:
         return len(self.action_low)
 
 
+def entry_name(names: Sequence[str], index: int | np.integer, kind: str = "state") -> str:
+    """What an entry is called for people: by its name, or, where they have none, by its number."""
+    return names[int(index)] if names else f"{kind} entry {index}"
+
+
 @dataclass(frozen=True)
 class EndSign:
     """Something that says where logged episodes end.

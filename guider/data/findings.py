@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from guider.data.episodes import Episodes
+from guider.data.episodes import Episodes, entry_name
 
 _STILL_SHARE = 0.02
 _JUMP_FACTOR, _JUMP_RANGE = 5.0, 0.2
@@ -209,7 +209,7 @@ def _surprise(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _name(episodes: Episodes, entry: int | np.integer, kind: str = "state") -> str:
     names = episodes.state_names if kind == "state" else episodes.action_names
-    return names[entry] if names else f"{kind} entry {entry}"
+    return entry_name(names, entry, kind)
 
 
 def _rows(episodes: Episodes, marked: np.ndarray) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from guider.data.safety import memory_fault
+from guider.data.safety import first_bytes, memory_fault
 from guider.errors import GuiderError
 
 # Names as NumPy 1 spells them; NumPy 2 says numpy._core.
@@ -68,12 +68,12 @@ def open_pickle(path: Path) -> Iterator[Any]:
     """What the pickle at `path` makes: dicts, lists, tuples, text and numbers as they are, and notes of arrays, for
     `array` and `objects`. Raises GuiderError for a pickle of anything else, or a damaged one, within the context too.
     """
-    try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            with pickle_faults(str(path)):
-                yield notes(content)
-    except (OSError, ValueError) as error:
-        raise GuiderError(f"{path}: the pickle is damaged or cut off ({' '.join(str(error).split())})") from error
+    with (
+        pickle_faults(str(path)),
+        path.open("rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+    ):
+        yield notes(content)
 
 
 @contextmanager
@@ -89,13 +89,7 @@ def pickle_faults(name: str) -> Iterator[None]:
 
 def is_pickle(path: Path) -> bool:
     """Whether the file begins as pickles of protocol 2 or newer do."""
-    if not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-    except OSError:
-        return False
+    head = first_bytes(path, 2)
     return len(head) == 2 and head[0] == 0x80 and 2 <= head[1] <= 5
 
 

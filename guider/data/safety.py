@@ -142,6 +142,17 @@ def check_path(path: Path) -> None:
         raise GuiderError(f"{path}: cannot be read (Permission denied)")
 
 
+def first_bytes(path: Path, count: int) -> bytes:
+    """The first bytes of a file, by which it is told apart; none where it is no file, or cannot be read."""
+    if not path.is_file():
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
+
+
 def look_into_hdf5(path: Path) -> dict[str, Declared]:
     """The file's arrays by name, found by another process that opened the file and read some of it.
 

@@ -64,9 +64,9 @@ def suggested_period(episodes: Episodes, radius: float) -> int:
         moved = moved[moved > radius]
         return len(moved) > 0 and float(np.median(moved)) >= _PERIOD_RADII * radius
 
-    most = min(int(np.median(episodes.lengths)) // 3, int(episodes.lengths.max()) - 1)
-    low, high = min(_LEAST_PERIOD, int(episodes.lengths.max()) - 1), max(_LEAST_PERIOD, most)
-    high = max(low, min(high, int(episodes.lengths.max()) - 1))
+    longest = int(episodes.lengths.max()) - 1
+    low = min(_LEAST_PERIOD, longest)
+    high = max(low, min(int(np.median(episodes.lengths)) // 3, longest))
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if goes_far(middle) else (middle + 1, high)

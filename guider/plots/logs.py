@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from guider.data.episodes import Episodes
+from guider.data.episodes import Episodes, entry_name
 from guider.methods.policy import Policy
 from guider.plots import canvas
 from guider.plots.subgoals import proposals, reachable, subgoals_of
@@ -121,5 +121,4 @@ def _samples_handle(policy: Policy) -> list[Line2D]:
 
 
 def _entry_name(episodes: Episodes, entry: int) -> str:
-    index = episodes.goal_indices[entry]
-    return episodes.state_names[index] if episodes.state_names else f"state entry {index}"
+    return entry_name(episodes.state_names, episodes.goal_indices[entry])

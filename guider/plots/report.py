@@ -18,7 +18,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from guider.data.episodes import Episodes
+from guider.data.episodes import Episodes, entry_name
 from guider.errors import GuiderError
 from guider.evaluation.comparison import kept_score
 from guider.evaluation.imagined import fit_model, imagined_episodes
@@ -102,14 +102,14 @@ def _about(subject: Subject) -> dict[str, Any]:
             curve["x"].append(line["update"])
             curve["y"].append(_rounded(float(np.mean(values))))
     spaces = spec.spaces
-    names = spaces.state_names or tuple(f"state entry {i}" for i in range(spaces.state_dim))
+    goal = ", ".join(entry_name(spaces.state_names, index) for index in spaces.goal_indices[:8])
     facts = {
         "task": spec.task or "own data",
         "data": f"{spec.data} (fingerprint {spec.fingerprint})",
         "episodes": f"{len(subject.episodes.starts):,} of {len(subject.episodes.observations):,} states, "
         f"{spec.held_out:.0%} held out",
         "learned from": str(kept.get("facts", {}).get("data_use", "")),
-        "goal": f"{', '.join(names[i] for i in spaces.goal_indices[:8])} within {spec.config.problem.radius:g}",
+        "goal": f"{goal} within {spec.config.problem.radius:g}",
         "method": f"{find_method(spec.method).label}, preset {spec.preset}, seeds {', '.join(map(str, spec.seeds))}",
         "acts by": score["acts_by"],
         "period": f"{spec.config.problem.period_steps} steps; reach radius {spec.config.problem.reach_radius:g}",
@@ -154,7 +154,7 @@ def _score(score: dict[str, Any]) -> dict[str, Any]:
     if all(endings):
         told = {"fell": "fell over", "stuck": "got stuck", "time": "were still on their way"}
         every = [end for seed in endings for end in seed]
-        failed = ", ".join(f"{every.count(cause)} {words}" for cause, words in told.items() if every.count(cause))
+        failed = ", ".join(f"{every.count(cause)} {did}" for cause, did in told.items() if every.count(cause))
         words.append(f"of {len(every)} episodes {every.count('met')} met the goal" + (f"; {failed}" if failed else ""))
     return {
         "headline": f"{score['score']:.1f}",
@@ -244,8 +244,7 @@ def _entries(episodes: Episodes) -> list[int]:
 
 
 def _names(episodes: Episodes, entries: list[int]) -> list[str]:
-    indices = [episodes.goal_indices[entry] for entry in entries]
-    return [episodes.state_names[i] if episodes.state_names else f"state entry {i}" for i in indices]
+    return [entry_name(episodes.state_names, episodes.goal_indices[entry]) for entry in entries]
 
 
 def _walls(task: Task | None) -> list[list[float]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from guider.data.safety import memory_fault
+from guider.data.safety import first_bytes, memory_fault
 from guider.data.store import Store, store_of
 from guider.errors import GuiderError
 from guider.support.extras import extra
@@ -21,18 +21,12 @@ _MISSING = ("", "nan", "NaN", "NAN", "null", "None", "NA", "n/a")
 
 def table_kind(path: Path) -> str | None:
     """Which of READERS reads the file, by its first bytes and, for text, its name; None if none does."""
-    if not path.is_file():
-        return None
-    try:
-        with path.open("rb") as file:
-            head = file.read(8)
-    except OSError:
-        return None
+    head = first_bytes(path, 8)
     if head[:4] == b"PAR1":
         return "parquet"
     if head[:6] == b"\x93NUMPY":
         return "npy"
-    return "CSV" if path.suffix.lower() in (".csv", ".tsv") and b"\0" not in head else None
+    return "CSV" if path.is_file() and path.suffix.lower() in (".csv", ".tsv") and b"\0" not in head else None
 
 
 def read_table(path: Path) -> Store:
