@@ -9,18 +9,22 @@ from guider.commands.screen import answer, bar
 from guider.errors import GuiderError
 from guider.support.files import user_path
 
+OTHER_SEEDS = 2**31
+"""Added to a seed, so that what is recorded for validation is of no seed's that anybody chooses."""
+
 
 def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, as_json: Json = False) -> None:
     """Record data for a task on this machine, reproducibly from a seed.
 
     Args:
         task: A task whose data `guider tasks` says can be collected.
-        out: New file laid out as D4RL's (.hdf5 or .h5), or, with no ending, new directory of a Minari dataset.
+        out: New file laid out as D4RL's (.hdf5 or .h5) or as OGBench's (.npz, and beside it -val.npz with a tenth as
+            much for validation), or, with no ending, new directory of a Minari dataset.
         steps: Rows to record; by default as many as the task's data has in the literature.
         seed: Equal seeds give equal files.
         as_json: Print one JSON document instead of text.
     """
-    from guider.data.write import check_destination, write_d4rl, write_minari
+    from guider.data.write import check_destination, validation_file, write_d4rl, write_minari, write_ogbench
     from guider.tasks import find_task
 
     out = user_path(out)
@@ -35,6 +39,11 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
         recording = found.collector.record(steps, seed, show)
     if layout == "d4rl":
         write_d4rl(out, recording, found.goal_indices, found.radius, found.goal_parts)
+    elif layout == "ogbench":
+        with bar("recording for validation", "steps") as show:
+            validation = found.collector.record(max(2, steps // 10), seed + OTHER_SEEDS, show)
+        write_ogbench(validation_file(out), validation)
+        write_ogbench(out, recording)
     else:
         with bar("writing", "episodes") as show:
             write_minari(

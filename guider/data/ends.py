@@ -342,11 +342,12 @@ def _wraps(observations: np.ndarray, rows: np.ndarray, marked: np.ndarray) -> np
 def _marks_all(ends: np.ndarray, jumps: np.ndarray, unmarked: np.ndarray) -> str | None:
     """Why the marked ends must be all there are, although there are jumps elsewhere; None where that is not evident.
 
-    The marked episodes are all equally long and mostly end in jumps, and the other jumps come now here, now there in
-    them: they are part of the motion (a teleporter).
+    The marked episodes are all equally long, but for the last that may be cut short, and mostly end in jumps, and the
+    other jumps come now here, now there in them: they are part of the motion (a teleporter).
     """
     lengths = lengths_from_ends(ends)
-    if len(lengths) < 3 or len(np.unique(lengths)) > 1 or np.mean(jumps[:-1][ends[:-1]]) <= 0.5:
+    alike = len(np.unique(lengths[:-1])) == 1 and lengths[-1] <= lengths[0]
+    if len(lengths) < 3 or not alike or np.mean(jumps[:-1][ends[:-1]]) <= 0.5:
         return None
     places = len(np.unique(unmarked % lengths[0]))
     return f"all marked episodes have {lengths[0]:,} rows" if places > 0.5 * len(unmarked) else None

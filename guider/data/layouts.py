@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from guider.data.episodes import Episodes
 from guider.data.store import Recording
-from guider.data.write import FLAG_BYTES_PER_ROW, in_new_place, write_d4rl, write_minari
+from guider.data.write import FLAG_BYTES_PER_ROW, in_new_place, write_d4rl, write_minari, write_npz, write_ogbench
 from guider.errors import GuiderError
 from guider.support.extras import extra
 
@@ -72,8 +71,10 @@ def save(
         )
     elif layout == "lerobot":
         _write_lerobot(path, episodes, fps, report)
+    elif layout == "ogbench":
+        write_ogbench(path, recording)
     else:
-        _write_npz(path, _plain(episodes) if layout == "plain" else _ogbench(episodes))
+        write_npz(path, _plain(episodes))
     return layout
 
 
@@ -109,20 +110,6 @@ def _plain(episodes: Episodes) -> dict[str, np.ndarray]:
     named = {"state_names": episodes.state_names, "action_names": episodes.action_names}
     goals = {} if episodes.goals is None else {"goals": episodes.goals}
     return arrays | goals | {key: np.array(names) for key, names in named.items() if names}
-
-
-def _ogbench(episodes: Episodes) -> dict[str, np.ndarray]:
-    terminals = np.zeros(len(episodes.observations), np.float32)
-    terminals[np.cumsum(episodes.lengths) - 1] = 1
-    return {"observations": episodes.observations, "actions": episodes.actions, "terminals": terminals}
-
-
-def _write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    content = BytesIO()
-    np.savez_compressed(content, **arrays)  # pyright: ignore[reportArgumentType]
-    with in_new_place(path, len(content.getbuffer())) as partial:
-        partial.write_bytes(content.getbuffer())
-        os.replace(partial, path)
 
 
 def _write_lerobot(directory: Path, episodes: Episodes, fps: float, report: Callable[[int, int], None]) -> None:

@@ -268,6 +268,7 @@ class Recording:
     goal_indices: the state entries that are the source's own goal space, None where it names none
     state_names, action_names: of the entries, () where the source has no names
     times:        [rows] float64 seconds, None where the source has none
+    simulation:   [rows, ...] each, by name: what puts a simulator where it was; nothing is learned from it
     """
 
     observations: np.ndarray
@@ -282,3 +283,4 @@ class Recording:
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
     times: np.ndarray | None = None
+    simulation: Mapping[str, np.ndarray] = field(default_factory=dict)

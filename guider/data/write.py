@@ -6,7 +6,7 @@ import errno
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -29,22 +29,50 @@ FLAG_BYTES_PER_ROW = 6
 """Of reward, termination and truncation."""
 
 
-def check_destination(out: Path, size: int) -> Literal["d4rl", "minari"]:
-    """What is to be written to `out`: D4RL's file if its name ends in .hdf5 or .h5, a Minari directory if in nothing.
+def check_destination(out: Path, size: int) -> Literal["d4rl", "ogbench", "minari"]:
+    """What is to be written to `out`: D4RL's file if its name ends in .hdf5 or .h5, OGBench's two files if in .npz, a
+    Minari directory if in nothing.
 
     size: bytes it will take, or somewhat fewer. Missing folders above it are made. Raises GuiderError for any other
     ending, where something is there already, and where there is no room or it cannot be written.
     """
     ending = out.suffix.lower()
-    if ending not in ("", ".hdf5", ".h5"):
+    if ending not in ("", ".hdf5", ".h5", ".npz"):
         raise GuiderError(
-            f"{out}: recordings are not written as {ending}; end the name in .hdf5 or .h5 for D4RL's layout, or in "
-            "nothing for a Minari directory"
+            f"{out}: recordings are not written as {ending}; end the name in .hdf5 or .h5 for D4RL's layout, in .npz "
+            "for OGBench's, or in nothing for a Minari directory"
         )
-    if os.path.lexists(out):
-        raise GuiderError(f"{out} exists already and is never overwritten; choose another --out")
+    for path in (out, validation_file(out)) if ending == ".npz" else (out,):
+        if os.path.lexists(path):
+            raise GuiderError(f"{path} exists already and is never overwritten; choose another --out")
     with in_new_place(out, size):
-        return "d4rl" if ending else "minari"
+        return "ogbench" if ending == ".npz" else "d4rl" if ending else "minari"
+
+
+def validation_file(path: Path) -> Path:
+    """Where OGBench looks for the validation set of the one in `path`."""
+    return path.with_name(f"{path.stem}-val{path.suffix}")
+
+
+def write_ogbench(path: Path, recording: Recording) -> None:
+    """Write an npz laid out as OGBench's; the file appears only when it is complete.
+
+    observations and actions are float32; terminals are True in the last row of each episode, whose action nothing
+    reads; qpos, qvel and button_states are there where they were recorded.
+    """
+    terminals = np.zeros(len(recording.observations), bool)
+    terminals[np.cumsum(recording.lengths) - 1] = True
+    arrays = {"observations": recording.observations, "actions": recording.actions, "terminals": terminals}
+    write_npz(path, arrays | dict(recording.simulation))
+
+
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """The file appears only when it is complete."""
+    content = BytesIO()
+    np.savez_compressed(content, **arrays)  # pyright: ignore[reportArgumentType]
+    with in_new_place(path, len(content.getbuffer())) as partial:
+        partial.write_bytes(content.getbuffer())
+        os.replace(partial, path)
 
 
 def write_d4rl(
@@ -54,7 +82,7 @@ def write_d4rl(
 
     observations, actions and, where goals are recorded, infos/goal are float32; rewards are 1 where the step comes
     within `radius` of its goal, else 0, and 0 throughout without goals; terminals are all False; timeouts are True in
-    the last row of each episode.
+    the last row of each episode. What puts a simulator where it was is there as infos/qpos and so on.
     """
     rows = len(recording.observations)
     timeouts = np.zeros(rows, bool)
@@ -64,6 +92,7 @@ def write_d4rl(
         arrays["infos/goal"] = recording.goals
     arrays["rewards"] = np.where(timeouts, np.float32(0), _rewards(recording, goal_indices, radius, goal_parts))
     arrays |= {"terminals": np.zeros(rows, bool), "timeouts": timeouts}
+    arrays |= {f"infos/{name}": array for name, array in recording.simulation.items()}
     content = BytesIO()  # HDF5 crashes on a full disk
     with h5py.File(content, "w") as file:
         for key, array in arrays.items():

@@ -52,7 +52,8 @@ def rollout(
     Equal arguments give equal episodes. Another number of episodes changes the batch the policy is computed in, and
     with it the rounding of its actions; in contact-rich simulations single episodes may then go another way.
 
-    A goal is met where each of its parts is within task.radius after a step; task.score says what that is worth.
+    A goal is met where each of its parts is within task.radius, or a radius of its own, after a step; task.score says
+    what that is worth.
     on_steps(done, total) reports progress.
     """
     copies = min(episodes, task.copies)
@@ -87,6 +88,7 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
     device_goal = jnp.asarray(goal)
     acting = initial_state(policy, env.count)
     parts = max(1, len(task.goal_parts))
+    radii = np.array(task.part_radii or [task.radius])
     active = np.ones(env.count, bool)
     parts_met = np.zeros((env.count, parts), bool)
     steps_met = np.zeros(env.count, int)
@@ -100,7 +102,7 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
         history.append([np.array(part) for part in seen])
         observation = env.step(np.asarray(actions), active)
         distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
-        met = active[:, None] & (distances <= task.radius)
+        met = active[:, None] & (distances <= radii)
         parts_met |= met
         steps_met += met.all(axis=1)
         done = met.all(axis=1) if task.score != "subtasks" else active & parts_met.all(axis=1)

@@ -13,13 +13,14 @@ from guider.tasks.antmaze import ANTMAZES
 from guider.tasks.fetch import FETCH_TASKS
 from guider.tasks.gymnasium_tasks import GYM_ANTMAZES, goal_task
 from guider.tasks.kitchen import KITCHEN_TASKS
-from guider.tasks.ogbench_tasks import OGBENCH_TASKS
+from guider.tasks.ogbench_mazes import MAZE_TASKS
+from guider.tasks.ogbench_tables import TABLE_TASKS
 from guider.tasks.pointmaze import POINTMAZES
 from guider.tasks.types import Task
 
-TASKS: dict[str, Task] = {
-    task.name: task for task in (*POINTMAZES, *ANTMAZES, *FETCH_TASKS, *KITCHEN_TASKS, *GYM_ANTMAZES, *OGBENCH_TASKS)
-}
+_FAMILIES = POINTMAZES, ANTMAZES, FETCH_TASKS, KITCHEN_TASKS, GYM_ANTMAZES, MAZE_TASKS, TABLE_TASKS
+
+TASKS: dict[str, Task] = {task.name: task for family in _FAMILIES for task in family}
 """This package's, by name."""
 OPEN_FORMS: dict[str, Callable[[str], Task]] = {
     "pointmaze": pointmaze.custom_task,

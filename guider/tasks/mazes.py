@@ -71,6 +71,17 @@ GIANT_LAYOUT = (
     "1000001000100001",
     "1111111111111111",
 )
+TELEPORT_LAYOUT = (
+    "111111111111",
+    "100000101001",
+    "110100010011",
+    "110111000001",
+    "100001010101",
+    "101101010101",
+    "101101010101",
+    "100001000101",
+    "111111111111",
+)
 
 
 @dataclass(frozen=True)
@@ -156,19 +167,20 @@ class Maze:
 
 
 def make_maze(name: str, cell_size_m: float) -> Maze:
-    """The maze `name` (umaze, medium, large, ultra or giant) with cells of the given size.
+    """The maze `name` (umaze, medium, large, ultra, giant or teleport) with cells of the given size.
 
     Source: D4RL's maze maps and evaluation targets; ultra: those of "Efficient Planning in a Compact Latent Action
-    Space" (Jiang et al. 2023); giant: OGBench, with the first of its five goals.
+    Space" (Jiang et al. 2023); giant, teleport: OGBench, with the first of its five goals.
     """
-    layout, goal_cell = {
-        "umaze": (UMAZE_LAYOUT, (3, 1)),
-        "medium": (MEDIUM_LAYOUT, (6, 6)),
-        "large": (LARGE_LAYOUT, (7, 9)),
-        "ultra": (ULTRA_LAYOUT, (10, 14)),
-        "giant": (GIANT_LAYOUT, (10, 14)),
+    layout, start_cell, goal_cell = {
+        "umaze": (UMAZE_LAYOUT, (1, 1), (3, 1)),
+        "medium": (MEDIUM_LAYOUT, (1, 1), (6, 6)),
+        "large": (LARGE_LAYOUT, (1, 1), (7, 9)),
+        "ultra": (ULTRA_LAYOUT, (1, 1), (10, 14)),
+        "giant": (GIANT_LAYOUT, (1, 1), (10, 14)),
+        "teleport": (TELEPORT_LAYOUT, (1, 10), (7, 1)),
     }[name]
-    return Maze(name=name, layout=layout, cell_size_m=cell_size_m, goal_cell=goal_cell)
+    return Maze(name=name, layout=layout, cell_size_m=cell_size_m, start_cell=start_cell, goal_cell=goal_cell)
 
 
 def read_maze(path: Path, cell_size_m: float) -> Maze:

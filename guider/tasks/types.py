@@ -77,6 +77,7 @@ class Task:
     goal_indices:  state entries of the goal space
     goal_parts:    entries of the goal that must each be within the radius, see guider.goals
     radius:        goal is met within this distance (goal units)
+    part_radii:    of each part in turn, where they are judged by other distances; training holds all to `radius`
     reach_radius:  a subgoal counts as reached within this distance (goal units)
     horizon_steps: environment steps an evaluation episode may take
     period_steps:  the default subgoal period c
@@ -107,6 +108,7 @@ class Task:
     make_env: Callable[[int], VectorEnv]
     score: Score = "success"
     goal_parts: Parts = ()
+    part_radii: tuple[float, ...] = ()
     copies: int = 100
     collector: Collector | None = None
     check_data: Callable[[Episodes], None] = accept

@@ -60,10 +60,13 @@ TABLE: Table = {
     ],
     "guider/data/layouts.py": [
         ("actions[-1] = actions[-2]", "pass", "data/test_layouts.py"),
+    ],
+    "guider/data/write.py": [
         (
-            "terminals[np.cumsum(episodes.lengths) - 1] = 1",
-            "terminals[np.cumsum(episodes.lengths)[:-1]] = 1",
+            "terminals[np.cumsum(recording.lengths) - 1] = True",
+            "terminals[np.cumsum(recording.lengths)[:-1]] = True",
             "data/test_layouts.py",
         ),
+        ("arrays | dict(recording.simulation)", "arrays", "collect/test_ogbench.py"),
     ],
 }

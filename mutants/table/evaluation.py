@@ -15,7 +15,8 @@ TABLE: Table = {
         ("int(np.argmax(equal))", "int(np.flatnonzero(equal)[-1])", "test_goals.py"),
     ],
     "guider/evaluation/rollouts.py": [
-        ("distances <= task.radius", "distances < task.radius", "evaluation/test_evaluation.py"),
+        ("distances <= radii", "distances < radii", "evaluation/test_evaluation.py"),
+        ("task.part_radii or [task.radius]", "[task.radius]", "evaluation/test_evaluation.py"),
         ("parts_met |= met", "parts_met = met", "evaluation/test_evaluation.py"),
         ("steps_met += met.all(axis=1)", "steps_met += met.any(axis=1)", "evaluation/test_evaluation.py"),
         ("np.minimum(steps[done], step + 1)", "step + 1", "evaluation/test_evaluation.py"),

@@ -75,7 +75,7 @@ def test_any_name_will_do_and_any_folder_to_start_from(tmp_path, monkeypatch, na
 @pytest.mark.parametrize(
     ("out", "message"),
     [
-        ("x.npz", r"x.npz: recordings are not written as .npz; end the name in .hdf5 or .h5 .* or in nothing"),
+        ("x.csv", r"x.csv: recordings are not written as .csv; end the name in .hdf5 or .h5 .* or in nothing"),
         ("x.PKL", "not written as .pkl"),
         ("file", "exists already and is never overwritten"),
         ("link", "exists already and is never overwritten"),
@@ -239,6 +239,6 @@ def test_collect_writes_what_the_name_says(tmp_path, monkeypatch, capsys):
     assert "guider collect pointmaze-umaze --steps 500 --seed 3" in metadata["description"]
     assert main(["collect", "pointmaze-umaze", "--steps", "500", "--out", str(directory)]) == 1
     assert "never overwritten" in capsys.readouterr().err
-    assert main(["collect", "pointmaze-umaze", "--out", "umaze.npz"]) == 1
-    assert capsys.readouterr().err.startswith("guider: umaze.npz: recordings are not written as .npz")
+    assert main(["collect", "pointmaze-umaze", "--out", "umaze.csv"]) == 1
+    assert capsys.readouterr().err.startswith("guider: umaze.csv: recordings are not written as .csv")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["umaze", "umaze.h5"]

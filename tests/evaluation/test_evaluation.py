@@ -41,7 +41,7 @@ class Scripted:
         pass
 
 
-def scored(score, parts, monkeypatch, episodes=2):
+def scored(score, parts, monkeypatch, episodes=2, part_radii=()):
     """(outcome, environment, whether the policy was told that episodes begin, a step an entry)."""
     env, begins = Scripted(), []
 
@@ -55,6 +55,7 @@ def scored(score, parts, monkeypatch, episodes=2):
         find_task("pointmaze-umaze"),
         goal_indices=(0, 1),
         goal_parts=parts,
+        part_radii=part_radii,
         radius=0.5,
         horizon_steps=4,
         score=score,
@@ -82,6 +83,13 @@ def test_scores_by_hand(score, parts, scores, success, steps, taken, monkeypatch
     assert outcome.success.tolist() == success
     assert outcome.steps.tolist() == steps
     assert env.steps.tolist() == taken, "an episode that has ended is left alone"
+
+
+def test_a_part_may_be_judged_by_a_radius_of_its_own(monkeypatch):
+    """The third step of the first copy ends at (5, 0.5)."""
+    for radius, score in (5.0, 100), (4.9, 0):
+        outcome, *_ = scored("success", ((0,), (1,)), monkeypatch, part_radii=(radius, 0.5))
+        assert outcome.score.tolist() == [score, 100]
 
 
 def test_episodes_have_their_own_seeds_and_beginnings(monkeypatch):

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from conftest import roll
 
+from guider.data.catalogue import CATALOGUE
 from guider.errors import GuiderError
 from guider.tasks import find_task
-from guider.tasks.ogbench_tasks import OGBENCH_TASKS, make_env
+from guider.tasks.ogbench_mazes import MAZE_TASKS, make_env
 
 
 @pytest.mark.parametrize("make", [lambda: find_task("gym-antmaze-umaze").make_env(1), lambda: ogbench_env("antmaze")])
@@ -29,17 +30,42 @@ def ogbench_env(robot: str, maze: str = "large") -> gymnasium.Env:
     return make_env(f"{robot}-{maze}-v0", find_task(f"ogbench-{robot}-{maze}-navigate-v0").radius)
 
 
-@pytest.mark.parametrize("task", OGBENCH_TASKS, ids=lambda task: task.name)
+@pytest.mark.parametrize("task", [task for task in MAZE_TASKS if "navigate" in task.name], ids=lambda task: task.name)
 def test_ogbench_is_as_the_table_says(task):
     _, robot, size, *_ = task.name.split("-")
     env = ogbench_env(robot, size)
     maze: Any = env.unwrapped
     assert env.observation_space.shape == (task.state_dim,) and env.action_space.shape == (task.action_dim,)
-    assert env.spec is not None and env.spec.max_episode_steps == task.horizon_steps
+    assert gymnasium.spec(f"{robot}-{size}-v0").max_episode_steps == task.horizon_steps
     np.testing.assert_array_equal(maze.maze_map, task.maze.walls)
     first = maze.task_infos[0]
     assert (first["init_ij"], first["goal_ij"]) == (task.maze.start_cell, task.maze.goal_cell)
     np.testing.assert_array_equal(first["goal_xy"], task.maze.cell_centre(task.maze.goal_cell))
+    env.close()
+
+
+def test_every_kind_of_data_has_a_task_with_the_name_that_ogbench_gives_it():
+    published = {name for name in CATALOGUE if name.split("-")[0] in ("pointmaze", "antmaze", "humanoidmaze")}
+    ours = {task.name.removeprefix("ogbench-") for task in MAZE_TASKS}
+    assert ours == {name for name in published if name.endswith("-v0") and CATALOGUE[name].source == "OGBench"}
+
+
+def test_a_teleporter_leads_to_any_of_its_exits_and_the_seed_says_to_which():
+    pytest.importorskip("ogbench")
+    env = make_env("pointmaze-teleport-v0", 1.0)
+    maze: Any = env.unwrapped
+    entrance = 4.0 * (np.array([6, 4]) - 1)
+    exits = []
+    for seed in [*range(40), *range(40)]:
+        env.reset(seed=seed)
+        maze.set_xy(entrance + 1.0)
+        seen, *_ = env.step(np.zeros(2))
+        assert np.linalg.norm(seen["observation"] - entrance) < 2  # this step sees where it was
+        seen, *_ = env.step(np.zeros(2))
+        exits.append(np.round(seen["observation"]).tolist())
+    assert exits[:40] == exits[40:]
+    counts = [exits[:40].count(xy) for xy in ([24, 0], [0, 20], [36, 20])]
+    assert sum(counts) == 40 and min(counts) > 5
     env.close()
 
 

@@ -1,0 +1,46 @@
+"""What OGBench's mazes and tables share: the package, which is an extra, and its protocol of five goals."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import gymnasium
+
+from guider.collect.ogbench import Play, Recipe, record
+from guider.data.store import Recording
+from guider.support.extras import extra
+from guider.tasks.simulation import available_cores
+from guider.tasks.types import Collector, Report
+
+GOALS = 5
+"""Of every environment. Episode e aims at goal 1 + e % 5."""
+
+
+class Data(NamedTuple):
+    """One of the sets that OGBench publishes for an environment: who acts, and how much of it there is."""
+
+    play: Play
+    episodes: int
+    episode_steps: int
+
+
+def make_unwrapped(env_id: str, **settings: Any) -> Any:
+    """OGBench's environment. Raises GuiderError without the package."""
+    with warnings.catch_warnings(), extra("ogbench", f"OGBench, of which {env_id} is,"):
+        warnings.simplefilter("ignore")  # of a screen that is not there
+        import ogbench  # noqa: F401  (it registers its environments)
+    warnings.filterwarnings("ignore", ".*precision lowered by casting")  # of its action spaces, at every reset
+    return gymnasium.make(env_id, disable_env_checker=True, **settings).unwrapped
+
+
+def collector(make_env: Callable[[], Any], data: Data, recipe: str) -> Collector:
+    """Records by OGBench's protocol."""
+    asked = Recipe(make_env, data.play, data.episode_steps)
+    return Collector(partial(_record, asked), data.episodes * data.episode_steps, recipe)
+
+
+def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
+    return record(recipe, steps, seed, report, available_cores())

@@ -1,0 +1,202 @@
+# pyright: reportAttributeAccessIssue=false
+# (mujoco is a compiled module without type stubs)
+"""OGBench's tables, where an arm moves cubes, presses buttons, and slides a drawer and a window: five goals each
+(guider.tasks.ogbench_env).
+
+A goal here is what the objects shall be, its entries those of the state that say it: positions of cubes (10 to the
+metre, as OGBench's observations have them), which buttons are on, how far drawer and window are open. OGBench shows its
+agents a whole state instead, in which the arm is somewhere too, and calls this goal the oracle's; where the arm ends is
+of no account in either. Success is OGBench's.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+
+from guider.collect.ogbench import PlayAtTable
+from guider.goals import Parts
+from guider.support.physics import mujoco
+from guider.tasks.gym_env import GymVectorEnv
+from guider.tasks.ogbench_env import GOALS, Data, collector, make_unwrapped
+from guider.tasks.types import Task
+
+ARM_ENTRIES = 19
+"""The state begins with joints and their speeds (12), the gripper's place (3), heading (2), opening and touch."""
+CUBE_ENTRIES, BUTTON_ENTRIES = 9, 4
+Kind = Literal["play", "noisy"]
+CENTRE_M = (0.425, 0.0, 0.0)
+UNITS_TO_METRE = 10.0
+CUBE_RADIUS_M, SLIDE_RADIUS_M = 0.04, 0.04
+DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE = 18.0, 15.0
+
+
+class FiveGoals(gymnasium.Wrapper):
+    """An OGBench table whose seed says all: which of the five goals, which cube is which, and where things start.
+
+    Observations are dicts for guider.tasks.gym_env.read_goal_observation.
+    """
+
+    def __init__(self, table: Any, goal: Any):
+        """goal: (table) -> [G] what the objects shall be."""
+        super().__init__(table)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (5,))
+        self._goal = goal
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        assert seed is not None
+        table: Any = self.env
+        _, info = table.reset(seed=seed, options={"task_id": 1 + seed % GOALS})
+        # On its way it has shown itself the goal and taken random steps there: what these left behind, but for the
+        # state, would be of chance.
+        qpos, qvel = table.data.qpos.copy(), table.data.qvel.copy()
+        places = table.data.mocap_pos.copy(), table.data.mocap_quat.copy()
+        mujoco.mj_resetData(table.model, table.data)
+        table.data.mocap_pos[:], table.data.mocap_quat[:] = places
+        table.set_state(qpos, qvel, *_button_states(table))
+        table.pre_step()
+        self._desired = self._goal(table)
+        return self._observe(table.compute_observation()), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._observe(observation), reward, terminated, truncated, info
+
+    def _observe(self, observation: np.ndarray) -> dict[str, np.ndarray]:
+        return {"observation": observation, "desired_goal": self._desired.copy()}
+
+
+def _button_states(table: Any) -> tuple[np.ndarray, ...]:
+    return (table._cur_button_states.copy(),) if hasattr(table, "_cur_button_states") else ()
+
+
+def make_env(env_id: str, goal: Any) -> gymnasium.Env:
+    """Raises GuiderError without OGBench."""
+    return FiveGoals(make_unwrapped(env_id, terminate_at_goal=False), goal)
+
+
+def cubes_goal(table: Any) -> np.ndarray:
+    """[3 * cubes]: where the cubes shall be."""
+    places = np.array([table.data.mocap_pos[target] for target in table._cube_target_mocap_ids])
+    return (UNITS_TO_METRE * (places - CENTRE_M)).reshape(-1)
+
+
+def buttons_goal(table: Any) -> np.ndarray:
+    """[buttons]: 1 where a button shall be on, else 0."""
+    return table._target_button_states.astype(float)
+
+
+def scene_goal(table: Any) -> np.ndarray:
+    """[7]: where the cube shall be (3), which of two buttons shall be on, how far drawer and window shall be open."""
+    drawer_m, window_m = table._target_drawer_pos, table._target_window_pos
+    opened = [DRAWER_UNITS_TO_METRE * drawer_m, WINDOW_UNITS_TO_METRE * window_m]
+    return np.concatenate([cubes_goal(table), buttons_goal(table), opened])
+
+
+def _cube_task(name: str, cubes: int, kind: Kind, horizon_steps: int, episodes: int) -> Task:
+    first = [ARM_ENTRIES + CUBE_ENTRIES * cube for cube in range(cubes)]
+    return _task(
+        f"cube-{name}",
+        kind,
+        f"an arm puts {cubes} cube{'s' * (cubes > 1)} where they shall be",
+        goal_indices=tuple(entry + axis for entry in first for axis in range(3)),
+        goal_parts=tuple(tuple(range(3 * cube, 3 * cube + 3)) for cube in range(cubes)),
+        radius=UNITS_TO_METRE * CUBE_RADIUS_M,
+        state_dim=ARM_ENTRIES + CUBE_ENTRIES * cubes,
+        goal=cubes_goal,
+        horizon_steps=horizon_steps,
+        data=Data(PlayAtTable(kind, 0.1 if kind == "noisy" else 0.0), episodes, 1_001),
+    )
+
+
+def _puzzle_task(rows: int, columns: int, kind: Kind) -> Task:
+    buttons = rows * columns
+    return _task(
+        f"puzzle-{rows}x{columns}",
+        kind,
+        f"an arm presses {buttons} buttons, each of which turns its neighbours too",
+        goal_indices=tuple(ARM_ENTRIES + BUTTON_ENTRIES * button + 1 for button in range(buttons)),
+        goal_parts=tuple((button,) for button in range(buttons)),
+        radius=0.5,
+        state_dim=ARM_ENTRIES + BUTTON_ENTRIES * buttons,
+        goal=buttons_goal,
+        horizon_steps=500,
+        data=Data(PlayAtTable(kind, 0.2 if kind == "noisy" else 0.0), 1_000, 1_001),
+    )
+
+
+def _scene_task(kind: Kind) -> Task:
+    buttons = ARM_ENTRIES + CUBE_ENTRIES
+    slides = buttons + 2 * BUTTON_ENTRIES
+    slide_radii = tuple(SLIDE_RADIUS_M * units for units in (DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE))
+    radius = UNITS_TO_METRE * CUBE_RADIUS_M
+    return _task(
+        "scene",
+        kind,
+        "an arm sees to a cube, a drawer and a window, and to the two buttons that lock them",
+        goal_indices=(*range(ARM_ENTRIES, ARM_ENTRIES + 3), buttons + 1, buttons + 5, slides, slides + 2),
+        goal_parts=((0, 1, 2), (3,), (4,), (5,), (6,)),
+        part_radii=(radius, radius, radius, *slide_radii),
+        radius=radius,
+        state_dim=slides + 4,
+        goal=scene_goal,
+        horizon_steps=750,
+        data=Data(PlayAtTable(kind, 0.1 if kind == "noisy" else 0.0), 1_000, 1_001),
+    )
+
+
+def _task(
+    name: str,
+    kind: Kind,
+    summary: str,
+    *,
+    goal_indices: tuple[int, ...],
+    goal_parts: Parts,
+    radius: float,
+    part_radii: tuple[float, ...] = (),
+    state_dim: int,
+    goal: Any,
+    horizon_steps: int,
+    data: Data,
+) -> Task:
+    env_id = f"{name}-v0"
+    make_table = partial(make_unwrapped, env_id, terminate_at_goal=False, mode="data_collection")
+    return Task(
+        name=f"ogbench-{name}-{kind}-v0",
+        summary=summary,
+        domain=f"ogbench-{name.split('-')[0]}",
+        goal_indices=goal_indices,
+        goal_parts=goal_parts,
+        part_radii=part_radii,
+        state_dim=state_dim,
+        action_dim=5,
+        radius=radius,
+        reach_radius=radius,
+        horizon_steps=horizon_steps,
+        period_steps=25,
+        environment=f"OGBench {env_id} in MuJoCo {mujoco.__version__}, goals are what objects shall be",
+        source="OGBench",
+        make_env=partial(GymVectorEnv, partial(make_env, env_id, goal)),
+        copies=10,  # a second to build, each
+        collector=collector(make_table, data, f"OGBench's {kind} oracles"),
+    )
+
+
+_KINDS: tuple[Kind, ...] = ("play", "noisy")
+
+TABLE_TASKS = (
+    *(
+        _cube_task(name, cubes, kind, horizon_steps, episodes)
+        for name, cubes, horizon_steps, episodes in (
+            ("single", 1, 200, 1_000),
+            ("double", 2, 500, 1_000),
+            ("triple", 3, 1_000, 3_000),
+        )
+        for kind in _KINDS
+    ),
+    *(_scene_task(kind) for kind in _KINDS),
+    *(_puzzle_task(rows, columns, kind) for rows, columns in ((3, 3), (4, 4)) for kind in _KINDS),
+)
