@@ -72,9 +72,14 @@ def conservative_gap(sampled: jax.Array, log_density: jax.Array, data: jax.Array
     return jax.nn.logsumexp(sampled - log_density, axis=-1) - data
 
 
+def expectile_weight(error: jax.Array, expectile: float) -> jax.Array:
+    """|tau - 1(error < 0)| with error = target - estimate. [B] -> [B]."""
+    return jnp.where(error < 0, 1 - expectile, expectile)
+
+
 def expectile_loss(error: jax.Array, expectile: float) -> jax.Array:
-    """|tau - 1(error < 0)| * error^2 with error = target - estimate. [B] -> [B]."""
-    return jnp.where(error < 0, 1 - expectile, expectile) * error**2
+    """Its weight times error^2. [B] -> [B]."""
+    return expectile_weight(error, expectile) * error**2
 
 
 def advantage_weight(advantage: jax.Array, temperature: float, ceiling: float) -> jax.Array:

@@ -83,6 +83,21 @@ class ValueBatch(NamedTuple):
     goal: jax.Array
 
 
+class CriticBatch(NamedTuple):
+    """Transitions with two goals, of a critic and of the policy that it guides.
+
+    observation, next_observation: [B, S]; action: [B, A] in [-1, 1]; achieved, next_achieved, goal, actor_goal: [B, G].
+    """
+
+    observation: jax.Array
+    action: jax.Array
+    next_observation: jax.Array
+    achieved: jax.Array
+    next_achieved: jax.Array
+    goal: jax.Array
+    actor_goal: jax.Array
+
+
 class WaypointBatch(NamedTuple):
     """Transitions on the way to a goal, and where that way leads in a number of steps (HIQL).
 
@@ -290,15 +305,13 @@ def sample_value(
     current_goal_fraction: float,
     random_goal_fraction: float,
 ) -> ValueBatch:
-    """Stretches of `stretch_steps` (HIQL: 1), with goals that are s^G_t itself, a state of any trajectory, or, for the
-    rest, one of the episode's future, `mean_goal_steps` ahead on average (geometric)."""
+    """Stretches of `stretch_steps` (HIQL: 1), with goals as in `_value_goals`."""
     row_key, goal_key, kind_key = jax.random.split(key, 3)
     starts = _choose(row_key, data.transition_rows, batch_size)
     last = data.last_row[starts]
-    others = 1 - current_goal_fraction
-    random_share = random_goal_fraction / others if others > 0 else 0.0
-    goal, _ = _goals(data, goal_key, starts + 1, last, 1 - random_share, random_share, "geometric", mean_goal_steps)
-    current = jax.random.uniform(kind_key, (batch_size,)) < current_goal_fraction
+    goal = _value_goals(
+        data, (goal_key, kind_key), starts, mean_goal_steps, current_goal_fraction, random_goal_fraction
+    )
     rows = starts[:, None] + jnp.arange(stretch_steps)
     ends = jnp.minimum(starts + stretch_steps, last)
     return ValueBatch(
@@ -307,8 +320,46 @@ def sample_value(
         achieved=data.achieved[jnp.minimum(rows, last[:, None])],
         end=data.achieved[ends],
         valid=rows < last[:, None],
-        goal=jnp.where(current[:, None], data.achieved[starts], goal),
+        goal=goal,
     )
+
+
+def _value_goals(
+    data: Data,
+    keys: tuple[jax.Array, jax.Array],
+    rows: jax.Array,
+    mean_goal_steps: float,
+    current_goal_fraction: float,
+    random_goal_fraction: float,
+) -> jax.Array:
+    """Goals that are s^G_t itself, a state of any trajectory, or, for the rest, one of the episode's future,
+    `mean_goal_steps` ahead on average (geometric). [B] rows -> [B, G]."""
+    goal_key, kind_key = keys
+    others = 1 - current_goal_fraction
+    random_share = random_goal_fraction / others if others > 0 else 0.0
+    last = data.last_row[rows]
+    goal, _ = _goals(data, goal_key, rows + 1, last, 1 - random_share, random_share, "geometric", mean_goal_steps)
+    current = jax.random.uniform(kind_key, rows.shape) < current_goal_fraction
+    return jnp.where(current[:, None], data.achieved[rows], goal)
+
+
+def sample_critic(
+    data: Data,
+    key: jax.Array,
+    batch_size: int,
+    mean_goal_steps: float,
+    current_goal_fraction: float,
+    random_goal_fraction: float,
+    actor_random_goal_fraction: float,
+) -> CriticBatch:
+    """Transitions with the critic's goals as in `_value_goals`, and the policy's, uniform futures s^G_i, t < i <= T, or
+    states of any trajectory."""
+    row_key, goal_key, kind_key, actor_key = jax.random.split(key, 4)
+    rows = _choose(row_key, data.transition_rows, batch_size)
+    goal = _value_goals(data, (goal_key, kind_key), rows, mean_goal_steps, current_goal_fraction, random_goal_fraction)
+    anywhere = actor_random_goal_fraction
+    actor_goal, _ = _goals(data, actor_key, rows + 1, data.last_row[rows], 1 - anywhere, anywhere)
+    return CriticBatch(**_steps(data, rows), goal=goal, actor_goal=actor_goal)
 
 
 def sample_waypoints(

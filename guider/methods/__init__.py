@@ -10,11 +10,11 @@ from typing import Any, get_args
 from guider.errors import GuiderError, names_like
 from guider.learning.options import Preset
 from guider.learning.problem import Problem
-from guider.methods import flat, guider, hiql, opal
+from guider.methods import critic_guided, flat, guider, hiql, opal
 from guider.methods.method import Method
 from guider.support import plugins
 
-METHODS: dict[str, Method] = guider.METHODS | flat.METHODS | hiql.METHODS | opal.METHODS
+METHODS: dict[str, Method] = guider.METHODS | flat.METHODS | hiql.METHODS | opal.METHODS | critic_guided.METHODS
 """This package's, by name."""
 
 

@@ -168,7 +168,7 @@ def value_loss(
     advantage = earned + carried * following.min(axis=0) - current
     target = jax.lax.stop_gradient(earned + carried * following)
     estimate = values(config, params, scale, batch.observation, begin, batch.goal)
-    weight = jnp.where(advantage >= 0, settings.expectile, 1 - settings.expectile)
+    weight = losses.expectile_weight(advantage, settings.expectile)
     error = jax.lax.stop_gradient(weight) * (target - estimate) ** 2
     metrics = {"value_error": error.mean(), "value": estimate.mean(), "advantage": advantage.mean()}
     return error.mean(axis=-1).sum(), metrics

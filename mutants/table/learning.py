@@ -158,7 +158,7 @@ TABLE: Table = {
         ("        rows + 1,\n        data.last_row", "        rows,\n        data.last_row", _FLAT_GOALS),
         ("steps=jnp.where(goal_rows < 0, -1, goal_rows - rows)", "steps=goal_rows - rows", "learners/test_learners.py"),
         ("random_goal_fraction / others if", "random_goal_fraction if", _SHARES),
-        ("(batch_size,)) < current_goal_fraction", "(batch_size,)) > current_goal_fraction", _SHARES),
+        ("rows.shape) < current_goal_fraction", "rows.shape) > current_goal_fraction", _SHARES),
         ("valid=rows < last[:, None]", "valid=rows <= last[:, None]", _STRETCH),
         ("ends = jnp.minimum(starts + stretch_steps, last)", "ends = starts + stretch_steps", _STRETCH),
         ("jnp.where(goal_rows < 0, last, goal_rows))", "last)", _WAY),

@@ -201,7 +201,7 @@ TABLE: Table = {
         ("discount ** batch.valid.sum(axis=1)", "discount ** reward.shape[1]", _HIQL_RETURN),
         ("factor * on_the_way * reward, 0.0)", "factor * reward, 0.0)", _HIQL_RETURN),
         ("following.min(axis=0) - current", "following.max(axis=0) - current", _HIQL_VALUE),
-        ("advantage >= 0, settings.expectile, 1", "advantage < 0, settings.expectile, 1", _HIQL_VALUE),
+        ("expectile_weight(advantage, settings", "expectile_weight(-advantage, settings", _HIQL_VALUE),
         (
             "stop_gradient(earned + carried * following)",
             "stop_gradient(earned + carried * following.min(axis=0))",

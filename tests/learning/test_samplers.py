@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from guider.data.episodes import make_episodes
-from guider.learning.samplers import sample_flat, sample_high, sample_low, sample_windows
+from guider.learning.samplers import sample_critic, sample_flat, sample_high, sample_low, sample_windows
 from guider.learning.windows import Data, device_data, moves, window_starts
 
 
@@ -203,3 +203,24 @@ def test_equal_keys_give_equal_batches(ragged):
     first = sample_low(data, jax.random.key(5), 64, 5, 1, 0.8, 0.1)
     second = jax.jit(lambda d, k: sample_low(d, k, 64, 5, 1, 0.8, 0.1))(data, jax.random.key(5))
     assert all(jnp.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_a_critic_and_its_policy_have_goals_of_their_own():
+    """The critic's: a fifth stays, three tenths from anywhere, the rest two steps ahead in the mean; the policy's: any
+    of the future, or a quarter from anywhere."""
+    data = device_data(labelled([400] * 400), 5, "clip", 0.0)  # goals from anywhere hardly ever lie in the same episode
+    batch = sample_critic(data, jax.random.key(2), 100_000, 2.0, 0.2, 0.3, 0.25)
+    start = np.asarray(batch.observation)
+    np.testing.assert_array_equal(batch.next_observation, start + np.array([0, 1]))
+    np.testing.assert_array_equal(batch.achieved, start)
+    steps, aims = (
+        np.where(goal[:, 0] == start[:, 0], goal[:, 1] - start[:, 1], -1)
+        for goal in (np.asarray(batch.goal), np.asarray(batch.actor_goal))
+    )
+    assert (steps == 0).mean() == pytest.approx(0.2, abs=0.006)
+    assert (steps < 0).mean() == pytest.approx(0.3, abs=0.006)
+    np.testing.assert_allclose(shares(steps[steps > 0], 4)[1:4], [1 / 2, 1 / 4, 1 / 8], atol=0.008)
+    assert (aims < 0).mean() == pytest.approx(0.25, abs=0.006) and not (aims == 0).any()
+    ahead = aims[aims > 0] / (399 - start[aims > 0, 1])  # uniform over what is left of the episode
+    np.testing.assert_allclose(np.quantile(ahead, [0.25, 0.5, 0.75]), [0.25, 0.5, 0.75], atol=0.02)
+    assert abs(np.corrcoef(steps == 0, aims < 0)[0, 1]) < 0.02

@@ -105,7 +105,10 @@ _OPAL = Crossing(
         "high.target_divergence": 1.0,  # a mean over latent dimensions, and here is one
     },
 )
+_FEW = NEAR._replace(settings=NEAR.settings | {"critic.representation_dim": 8})
 CROSSINGS = {name: _GUIDER for name in METHODS if name.startswith("guider")} | {
+    "crl": _FEW,
+    "qrl": _FEW,
     "hiql": _HIQL,
     "hiql-places": _HIQL,
     "opal": _OPAL,
