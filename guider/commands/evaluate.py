@@ -23,7 +23,7 @@ def evaluate(
 
     Args:
         run: Directory of the run.
-        episodes: Task only: episodes per trained seed, by default 100.
+        episodes: Task only: episodes per trained seed, by default 100, or 50 for each of several goals.
         first_seed: Task only: environment seeds count up from here, by default 0.
         data: Own data and mazes: where the run's data is now, if it has moved.
         as_json: Print one JSON document instead of text.
@@ -44,11 +44,17 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
     table.add_column("seed")
     in_maze = ("fell / stuck / time",) if "ending" in result["per_seed"][0]["episodes"] else ()
     guided = ("subgoals off data", "in walls") if "subgoals_in_walls" in result["per_seed"][0] else ()
-    for name in (result["unit"], "95 % interval", "median steps when met", *in_maze, *guided):
+    several = ("each goal",) if "per_goal" in result else ()
+    for name in (result["unit"], "95 % interval", *several, "median steps when met", *in_maze, *guided):
         table.add_column(name)
     for seed, scores in zip(result["training_seeds"], result["per_seed"], strict=True):
         low, high = scores["interval_95"]
-        cells = [f"{scores['score']:.1f}", f"{low} to {high}", str(scores["median_steps_when_met"])]
+        cells = [
+            f"{scores['score']:.1f}",
+            f"{low} to {high}",
+            *_each_goal(scores),
+            str(scores["median_steps_when_met"]),
+        ]
         if in_maze:
             endings = scores["episodes"]["ending"]
             cells.append(" / ".join(str(endings.count(cause)) for cause in ("fell", "stuck", "time")))
@@ -57,8 +63,14 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
             cells += ["?" if share is None else f"{100 * share:.1f} %" for share in shares]
         table.add_row(str(seed), *cells)
     low, high = result["interval_95"]
-    table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", "")
+    table.add_row("all", f"{result['score']:.1f}", f"{low} to {high}", *_each_goal(result))
     return table
+
+
+def _each_goal(scores: dict[str, Any]) -> list[str]:
+    if "per_goal" not in scores:
+        return []
+    return [" ".join("-" if score is None else f"{score:.0f}" for score in scores["per_goal"])]
 
 
 def _held_out_table(result: dict[str, Any], title: str) -> Table:

@@ -40,13 +40,14 @@ def score(
 ) -> dict[str, Any]:
     """The score of a finished run's last checkpoint.
 
-    On a task: `episodes` episodes (100) for every seed, environment seeds first_seed (0) + seed index * episodes + e.
+    On a task: `episodes` episodes (100, or 50 for each of several goals) for every seed, environment seeds first_seed
+    (0) + seed index * episodes + e.
     On one's own data: the episodes that training never saw (see guider.evaluation.heldout).
     Returns the score with its protocol: environment, data, preset and its departures, seeds, interval.
     """
-    count, first = 100 if episodes is None else episodes, 0 if first_seed is None else first_seed
-    if count < 1 or first < 0:
-        raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {count} and {first}")
+    first = 0 if first_seed is None else first_seed
+    if (episodes is not None and episodes < 1) or first < 0:
+        raise GuiderError(f"--episodes must be 1 or more and --first-seed 0 or more, got {episodes} and {first}")
     run = runs.as_run(run)
     spec = run.spec
     policies, protocol = run.policies(), _protocol(run)
@@ -57,6 +58,7 @@ def score(
             )
         return protocol | _held_out(run, policies, data)
     task = find_task(spec.task)
+    count = episodes or (100 if task.goals == 1 else 50 * task.goals)
     if task.maze is None and data is not None:
         raise GuiderError(f"{spec.task} is scored in its environment; leave --data out")
 

@@ -22,6 +22,15 @@ def summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, 
         bounds = success_interval(of_seeds > 0) if task.score == "success" else bootstrap_interval(of_seeds)
         return [round(bound, 1) for bound in bounds]
 
+    goals = (first_seed + np.arange(scores.size)).reshape(scores.shape) % task.goals
+
+    def per_goal(of_seeds: np.ndarray, aimed: np.ndarray) -> dict[str, Any]:
+        """The means over the episodes of each goal, where there are several; None of one that no episode had."""
+        if task.goals == 1:
+            return {}
+        of_goals = [of_seeds[aimed == goal] for goal in range(task.goals)]
+        return {"per_goal": [float(some.mean()) if some.size else None for some in of_goals]}
+
     per_seed = [
         {
             "score": float(outcome.score.mean()),
@@ -36,7 +45,8 @@ def summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, 
                 "steps": outcome.steps.tolist(),
             },
         }
-        for outcome in outcomes
+        | per_goal(outcome.score, aimed)
+        for outcome, aimed in zip(outcomes, goals, strict=True)
     ]
     return {
         "environment": task.environment,
@@ -46,6 +56,7 @@ def summary(task: Task, outcomes: list[Rollouts], first_seed: int) -> dict[str, 
         "episode_seeds": [first_seed, first_seed + scores.size - 1],
         "unit": SCORE_UNITS[task.score],
         "score": float(means.mean()),
+        **per_goal(scores, goals),
         "score_std_over_seeds": float(means.std()),  # of these seeds, ddof 0
         "interval_95": interval(scores),
         "per_seed": per_seed,

@@ -147,6 +147,7 @@ def _task(robot: Robot, maze: Maze, kind: Kind, horizon_steps: int) -> Task:
         environment=environment,
         source="OGBench",
         make_env=partial(GymVectorEnv, partial(make_env, env_id, robot.radius_m)),
+        goals=GOALS,
         copies=20,
         collector=made,
         check_data=check_data,

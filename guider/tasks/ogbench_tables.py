@@ -180,6 +180,7 @@ def _task(
         environment=f"OGBench {env_id} in MuJoCo {mujoco.__version__}, goals are what objects shall be",
         source="OGBench",
         make_env=partial(GymVectorEnv, partial(make_env, env_id, goal)),
+        goals=GOALS,
         copies=10,  # a second to build, each
         collector=collector(make_table, data, f"OGBench's {kind} oracles"),
     )

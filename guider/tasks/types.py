@@ -85,6 +85,7 @@ class Task:
     environment:   which simulation a score comes from
     source:        where the definition comes from
     make_env:      number of copies -> VectorEnv
+    goals:         how many there are, an episode with seed n aiming at number n % goals; 1 where each draws its own
     copies:        how many copies evaluation steps at once, at most
     collector:     how data is made here; None if it is not
     check_data:    raises GuiderError where episodes of the right shape were recorded on another robot
@@ -109,6 +110,7 @@ class Task:
     score: Score = "success"
     goal_parts: Parts = ()
     part_radii: tuple[float, ...] = ()
+    goals: int = 1
     copies: int = 100
     collector: Collector | None = None
     check_data: Callable[[Episodes], None] = accept

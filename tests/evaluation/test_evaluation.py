@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from guider.evaluation.rollouts import bootstrap_interval, rollout, success_interval, wilson_interval
+from guider.evaluation.rollouts import Rollouts, bootstrap_interval, rollout, success_interval, wilson_interval
+from guider.evaluation.summary import summary
 from guider.tasks import find_task
 
 PATHS = np.array(
@@ -148,3 +149,17 @@ def test_bootstrap_interval_resamples_seeds_before_episodes():
     seeds = np.random.default_rng(1).normal(40.0, 10.0, (30, 1))
     low, high = bootstrap_interval(seeds)
     assert (high - low) / 2 == pytest.approx(1.96 * seeds.std() / 30**0.5, rel=0.08)
+
+
+def test_several_goals_are_told_apart():
+    """Of three trained seeds, two episodes each, from seed 4 on; three goals."""
+    outcomes = [
+        Rollouts(np.array(score, float), np.array(score) > 0, np.full(2, 3), ())
+        for score in ([100, 0], [100, 100], [0, 0])
+    ]
+    task = replace(find_task("pointmaze-umaze"), goals=3)
+    result = summary(task, outcomes, 4)
+    assert result["per_goal"] == [50.0, 100.0, 0.0]  # seeds 6 and 9; 4 and 7; 5 and 8
+    each = [seed["per_goal"] for seed in result["per_seed"]]
+    assert each == [[None, 100.0, 0.0], [100.0, 100.0, None], [0.0, None, 0.0]]
+    assert "per_goal" not in summary(replace(task, goals=1), outcomes, 4)
