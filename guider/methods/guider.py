@@ -231,7 +231,7 @@ def propose_subgoal(
     parts, reach_radius, latents = config.problem.goal_parts, config.problem.reach_radius, state.latent.params
     if config.planner == "routes":
         within_steps = config.routes.horizon * config.problem.period_steps
-        subgoal, _ = routes.next_place(state.high, achieved, goal, within_steps, parts)
+        subgoal, _ = routes.next_place(state.high, achieved, goal, within_steps, config.problem)
         latent = latent_subgoals.encode(config.latent, latents, state.scale, achieved, subgoal).mean
     else:
         latent = _propose_latent(config, state, achieved, goal)
@@ -290,7 +290,7 @@ def _propose(
     """Worth is the critic's value of the subgoal's latent, or minus the steps that the routes count."""
     subgoal, latent = propose_subgoal(config, state, achieved, goal)
     if config.planner == "routes":
-        return subgoal, -routes.next_place(state.high, achieved, goal, 0.0, config.problem.goal_parts)[1]
+        return subgoal, -routes.next_place(state.high, achieved, goal, 0.0, config.problem)[1]
     seen = subgoal_policy.inputs(state.scale, achieved, goal)
     return subgoal, subgoal_policy.values(state.high.params, seen, latent)
 

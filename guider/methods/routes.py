@@ -20,6 +20,8 @@ from guider.learning.training import Metrics
 from guider.learning.windows import Data
 from guider.support.config import check_fraction, check_positive
 
+LAST_LEG = 2.0
+
 
 @dataclass(frozen=True)
 class RoutesConfig:
@@ -153,15 +155,16 @@ def shortest_steps(edges: jax.Array) -> jax.Array:
 
 
 def next_place(
-    routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, parts: Parts
+    routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, problem: Problem
 ) -> tuple[jax.Array, jax.Array]:
     """Where to go next, [B, G]: of the places that an edge of so many steps leads to, the one with the fewest steps to
     the goal; the goal itself where it is that near. And the steps to the goal, [B].
 
-    Where no way leads to the goal, it is to the place nearest to it that one leads to; where there is no place, the
-    goal itself.
+    Where no way leads to the goal, it is to the place nearest to it that one leads to, and from there to the goal if
+    that is no more than LAST_LEG reach radii off; where there is no place, the goal itself.
     achieved, goal: [B, G].
     """
+    parts = problem.goal_parts
 
     def from_one(achieved: jax.Array, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
         here = largest_distance(routes.places, achieved, parts).argmin()
@@ -169,7 +172,7 @@ def next_place(
         there = jnp.where(jnp.isfinite(routes.steps[here]), away, jnp.inf).argmin()
         place = jnp.where(routes.edges[here] <= within_steps, routes.steps[:, there], jnp.inf).argmin()
         left = routes.steps[here, there]
-        arrives = (left <= within_steps) & (away[there] <= away.min())
+        arrives = (left <= within_steps) & (away[there] <= jnp.maximum(away.min(), LAST_LEG * problem.reach_radius))
         arrives |= jnp.isinf(routes.places[here]).any()  # there are no places at all
         return jnp.where(arrives, goal, routes.places[place]), left
 

@@ -63,7 +63,7 @@ def way(
     """(subgoals [n, G] in order, each chosen where the one before lies, steps from the first to the last)."""
     at, total, chain = jnp.asarray(start, jnp.float32)[None], None, []
     while not chain or not np.array_equal(chain[-1], goal):
-        subgoal, left = next_place(routes, at, jnp.asarray(goal)[None], within_steps, config.problem.goal_parts)
+        subgoal, left = next_place(routes, at, jnp.asarray(goal)[None], within_steps, config.problem)
         total = float(left[0]) if total is None else total
         if any(np.array_equal(subgoal[0], earlier) for earlier in chain):
             break

@@ -52,7 +52,8 @@ TABLE: Table = {
         ("routes.edges[here] <= within_steps", "routes.edges[here] < within_steps", "methods/test_routes.py"),
         ("routes.edges[here] <= within", "routes.edges[:, here] <= within", "methods/test_routes.py"),
         ("(left <= within_steps) & (away", "(left < 0) & (away", "methods/test_routes.py"),
-        (" & (away[there] <= away.min())", "", "methods/test_routes.py"),
+        ("<= jnp.maximum(away.min(), LAST_LEG * problem.reach_radius)", "< jnp.inf", "methods/test_routes.py"),
+        ("LAST_LEG * problem.reach_radius", "problem.reach_radius", "methods/test_routes.py"),
         ("arrives |= jnp.isinf(routes.places[here]).any()", "arrives |= False", "methods/test_routes.py"),
     ],
     "guider/methods/policy.py": [

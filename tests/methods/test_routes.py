@@ -26,6 +26,7 @@ from guider.methods.routes import (
 )
 
 INF = np.inf
+SMALL = Problem(radius=0.5, reach_radius=1.0)
 
 
 def walks(*paths: list[tuple[float, float]]) -> Episodes:
@@ -118,7 +119,7 @@ def test_the_way_leads_round_a_wall_that_no_episode_crossed():
     assert float(routes.steps[foot, other]) == 11
     at, goal, visited = jnp.array([[0.0, 0.0]]), jnp.array([[4.0, 1.0]]), []
     for _ in range(6):
-        at, left = next_place(routes, at, goal, 2.0, ())
+        at, left = next_place(routes, at, goal, 2.0, SMALL)
         visited.append(([float(x) for x in at[0]], float(left[0])))
     assert visited == [
         ([0, 2], 11), ([0, 4], 9), ([2, 4], 7), ([4, 4], 5), ([4, 2], 3), ([4, 1], 1),
@@ -127,7 +128,7 @@ def test_the_way_leads_round_a_wall_that_no_episode_crossed():
 
 def test_a_goal_within_reach_is_the_subgoal_itself():
     routes = graph(walks(line((0, 0), (9, 0), 9)), spacing=0.5)
-    subgoal, left = next_place(routes, jnp.array([[3.1, 0.0]]), jnp.array([[5.3, 0.2]]), 2.0, ())
+    subgoal, left = next_place(routes, jnp.array([[3.1, 0.0]]), jnp.array([[5.3, 0.2]]), 2.0, SMALL)
     np.testing.assert_allclose(subgoal, [[5.3, 0.2]])
     assert left == 2
 
@@ -136,9 +137,18 @@ def test_to_a_goal_that_no_way_leads_to_it_is_to_the_nearest_place_that_one_does
     """Two halls side by side; the goal lies in the other one."""
     routes = graph(walks(line((0, 0), (6, 0), 6), line((0, 5), (6, 5), 6)), spacing=0.5)
     assert np.isinf(float(routes.steps[index(routes, (0, 0)), index(routes, (4, 5))]))
-    subgoal, left = next_place(routes, jnp.array([[0.0, 0.0]]), jnp.array([[4.0, 5.0]]), 4.0, ())
+    subgoal, left = next_place(routes, jnp.array([[0.0, 0.0]]), jnp.array([[4.0, 5.0]]), 4.0, SMALL)
     np.testing.assert_allclose(subgoal, [[4, 0]])
     assert left == 4
+
+
+def test_from_the_last_place_it_is_to_a_goal_no_more_than_two_reach_radii_off():
+    """The other hall's places are nearer to the goal, which lies between the two."""
+    routes = graph(walks(line((0, 0), (6, 0), 6), line((0, 5), (6, 5), 6)), spacing=0.5)
+    near, far = Problem(reach_radius=1.6), Problem(reach_radius=1.4)
+    for problem, subgoal in (near, [4, 3]), (far, [4, 0]):
+        found, _ = next_place(routes, jnp.array([[3.0, 0.0]]), jnp.array([[4.0, 3.0]]), 4.0, problem)
+        np.testing.assert_allclose(found, [subgoal])
 
 
 def test_a_place_that_nothing_leads_on_from_is_none():
@@ -152,7 +162,7 @@ def test_more_logged_windows_than_one_make_an_edge_of_many_wanted():
     there = line((0, 0), (6, 0), 6)
     once, often = (graph(walks(*[there] * count), crossings=3, spacing=0.5) for count in (1, 3))
     assert not np.isfinite(np.asarray(once.places)).any()
-    subgoal, _ = next_place(once, jnp.array([[0.0, 0.0]]), jnp.array([[6.0, 0.0]]), 4.0, ())
+    subgoal, _ = next_place(once, jnp.array([[0.0, 0.0]]), jnp.array([[6.0, 0.0]]), 4.0, SMALL)
     np.testing.assert_array_equal(subgoal, [[6, 0]])
     assert np.isfinite(np.asarray(often.steps)).sum() == 21
 
