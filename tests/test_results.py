@@ -54,3 +54,15 @@ def test_tables_by_hand(tmp_path):
     assert results.filled(document, {"antmaze": "new"}) == document.replace("old", "new")
     with pytest.raises(KeyError):
         results.filled(document, {})
+
+
+def test_ogbenchs_rows_stand_beside_the_published_ones(tmp_path):
+    folder = tmp_path / "ogbench-pointmaze-giant-stitch-v0"
+    folder.mkdir()
+    facts = {"per_goal": [100.0, 50.0], "training_minutes": 12.4}
+    write_json(folder / "guider-routes-fast-8.json", result([[100, 100], [100, 0]], "stuck") | facts)
+    row = results.tables(tmp_path)["ogbench"].splitlines()[2]
+    assert re.sub(r"\(\d.*?;", "(..;", row) == (
+        "| pointmaze-giant-stitch | guider-routes-fast-8 **75.0** (..; by goal 100 50; 12 min) | "
+        "0 | 0 | 0 | 50 | 0 | 0 | GCIQL + TTGS 98 |"
+    )

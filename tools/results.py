@@ -27,6 +27,7 @@ from guider.reproduce.scores import training_minutes
 from guider.support.config import differences
 from guider.support.files import parse_json, write_json, write_text
 from guider.tasks import find_task
+from tools.published import OGBENCH
 
 ROOT = Path(__file__).parent.parent
 STORE = ROOT / "results"
@@ -36,11 +37,13 @@ PLACES = ("data", "checksum")
 
 
 def commands(run: runs.Run, recorded: str, evaluation: dict[str, Any]) -> list[str]:
-    """The command lines that make data, run and score again. recorded: the first of them, which makes DATA.hdf5."""
+    """The command lines that make data, run and score again. recorded: the first of them, which makes DATA.hdf5, or
+    what its last word says."""
     spec, task = run.spec, find_task(run.spec.task or "")
     plain = Problem(task.radius, task.reach_radius, task.period_steps, task.goal_parts, task.domain)
     changed = differences(spec.config, preset_config(spec.method, cast(Preset, spec.preset), plain))
-    words = ["guider", "train", task.name, "--data", "DATA.hdf5", "--method", spec.method, "--preset", spec.preset]
+    data = recorded.split()[-1] if recorded.startswith("guider collect") else "DATA.hdf5"
+    words = ["guider", "train", task.name, "--data", data, "--method", spec.method, "--preset", spec.preset]
     words += ["--seeds", str(len(spec.seeds)), "--first-seed", str(spec.seeds[0]), "--out", "RUN"]
     if (period := changed.pop("problem.period_steps", None)) is not None:
         words += ["--period-steps", str(period)]
@@ -112,17 +115,41 @@ def antmaze(store: Path, variant: str, label: str) -> list[Row]:
     return rows
 
 
+def ogbench(store: Path) -> list[dict[str, str]]:
+    """A row per data set of OGBench's that there are results on, by column: those of ours, and what is published."""
+    rows = []
+    for name, published in OGBENCH.items():
+        files = sorted((store / f"ogbench-{name}-v0").glob("*.json"))
+        found = {file.stem: parse_json(file) for file in files}
+        if not found:
+            continue
+        ours = []
+        for variant, result in found.items():
+            scores = np.array([seed["episodes"]["score"] for seed in result["per_seed"]])
+            low, high = success_interval(scores > 0)
+            minutes = f"{result['training_minutes']:.0f} min"
+            goals = " ".join(f"{score:.0f}" for score in result["per_goal"])
+            ours.append(f"{variant} **{scores.mean():.1f}** ({low:.1f} to {high:.1f}; by goal {goals}; {minutes})")
+        theirs = {field: str(value) for field, value in published._asdict().items()}
+        rows.append({"data set": name, "ours": "<br>".join(ours)} | theirs)
+    return rows
+
+
 def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
     """The table, of these columns or all, and the commands of its last run."""
-    cells = [row.cells() for row in rows]
-    header = columns or tuple(cells[0])
-    lines = [header, ["---"] * len(header), *([row[name] for name in header] for row in cells)]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    table = grid([row.cells() for row in rows], columns)
     results = [result for row in rows for result in row.results]
     acts, processors = ("; ".join(sorted({result[name] for result in results})) for name in ("acts_by", "evaluated_on"))
     last = results[-1]
     facts = f"Acts by the {acts}. Processors: {processors}. The commands of the last run:"
     return f"{table}\n\n{facts}\n\n```\n" + "\n".join(last["commands"]) + "\n```"
+
+
+def grid(cells: Sequence[dict[str, str]], columns: Sequence[str] = ()) -> str:
+    """The rows, of these columns or all."""
+    header = columns or tuple(cells[0])
+    lines = [header, ["---"] * len(header), *([row[name] for name in header] for row in cells)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 TABLES = {
@@ -137,7 +164,8 @@ TABLES = {
 def tables(store: Path = STORE) -> dict[str, str]:
     """Every table that there are results for, by name."""
     made = {name: (antmaze(store, variant, data), columns) for name, (variant, data, columns) in TABLES.items()}
-    return {name: markdown(rows, columns) for name, (rows, columns) in made.items() if rows}
+    found = {name: markdown(rows, columns) for name, (rows, columns) in made.items() if rows}
+    return found | ({"ogbench": grid(rows)} if (rows := ogbench(store)) else {})
 
 
 def filled(document: str, made: dict[str, str]) -> str:
@@ -156,7 +184,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep = actions.add_parser("keep", help="take the evaluation of a run into the store")
     keep.add_argument("run", type=Path, help="directory of the run")
     keep.add_argument("--variant", required=True, help="the result's name below its task")
-    keep.add_argument("--recorded", required=True, help="the command that makes DATA.hdf5; or a comment, # ...")
+    keep.add_argument(
+        "--recorded",
+        required=True,
+        help="the command that makes DATA.hdf5, or another file that its last word names; or a comment, # ...",
+    )
     show = actions.add_parser("tables", help="bring the documents up to date")
     show.add_argument("--check", action="store_true", help="change nothing; exit with 1 where something would change")
     asked = parser.parse_args(arguments)
