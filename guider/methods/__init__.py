@@ -12,9 +12,12 @@ from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import critic_guided, flat, guider, hiql, opal
 from guider.methods.method import Method
+from guider.methods.routed import routed
 from guider.support import plugins
 
-METHODS: dict[str, Method] = guider.METHODS | flat.METHODS | hiql.METHODS | opal.METHODS | critic_guided.METHODS
+_ALONE = flat.METHODS | hiql.METHODS | critic_guided.METHODS
+_ROUTED = {f"{name}-routes": routed(_ALONE[name]) for name in ("gcsl", "gciql", "hiql")}
+METHODS: dict[str, Method] = guider.METHODS | opal.METHODS | _ALONE | _ROUTED
 """This package's, by name."""
 
 

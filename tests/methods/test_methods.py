@@ -143,9 +143,9 @@ def stages(tmp_path_factory) -> Path:
 
 
 @pytest.mark.usefixtures("optimised")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("gciql-routes", "hiql-routes")])
 def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(method, stages, tmp_path):
-    """The corridor is 20 m long."""
+    """The corridor is 20 m long. Of methods that are led through the graph, one is tried: what they add is the same."""
     crossing = CROSSINGS.get(method, NEAR)
     small = settings(method, updates=1000, hidden=(32, 32), batch_size=128)
     small |= {name: str(value) for name, value in crossing.settings.items()}
