@@ -347,6 +347,8 @@ FAST_IN_DOMAIN: ByDomain = {
     # How to round corners without falling is what takes long to learn.
     "antmaze": _IN_METRES | {"low.updates": 100_000},
     "pointmaze": _IN_METRES,
+    # A point that goes where its action says is soon learned.
+    "ogbench-pointmaze": {"low.updates": 10_000},
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'. An object moves within
     # c steps only once the hand is there: with the slack, where it shall go is a subgoal on the way there too. Sized
     # for the tasks' 40,000 episodes: a tenth of them is learned by heart, and wants 8,000 updates.
