@@ -295,6 +295,15 @@ def _propose(
     return subgoal, subgoal_policy.values(state.high.params, seen, latent)
 
 
+def _dead_end(
+    config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
+) -> tuple[jax.Array, jax.Array] | None:
+    if config.planner != "routes":
+        return None
+    way = routes.way(state.high, achieved, goal, config.problem)
+    return ~way.arrives, state.high.places[way.there]
+
+
 def _reach(
     config: GuiderConfig,
     state: GuiderState,
@@ -321,6 +330,7 @@ SUBGOALS = Subgoals(
     fit=lambda config, state, achieved, outcome: latent_subgoals.coverage(
         config.latent, state.latent.params, state.scale, achieved, outcome
     ),
+    dead_end=_dead_end,
 )
 
 

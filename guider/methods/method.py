@@ -21,7 +21,9 @@ class Subgoals:
     periodic:   (config) -> settings with which a subgoal is always decoded, and kept for c steps (Figure 7)
     reachable:  (config, state, achieved, count) -> [count, B, G] samples of where it holds c steps may lead
     fit:        (config, state, achieved, outcome) -> share of what c steps led to that it holds for likely, at 95 %
-    The last three are None of a method that keeps no subgoal, or learns nothing of what is reachable.
+    dead_end:   (config, state, achieved, goal) -> (whether no way that it knows leads to the goal [B], where the way to
+                what is nearest to it ends [B, G]), None where it knows no ways
+    The last four are None of a method that keeps no subgoal, learns nothing of what is reachable, or never knows ways.
     """
 
     pursued: Callable[..., Any]
@@ -31,6 +33,7 @@ class Subgoals:
     periodic: Callable[..., Any] | None = None
     reachable: Callable[..., Any] | None = None
     fit: Callable[..., Any] | None = None
+    dead_end: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ class Agent:
     def __init__(self, policy: Policy):
         self.policy = policy
         self._told = False
+        self._aim = np.full(policy.goal_dim, np.nan, np.float32)
         self.reset()
 
     def reset(self) -> None:
@@ -105,10 +106,12 @@ class Agent:
         self._begins = True
 
     def act(self, observation: ArrayLike, goal: ArrayLike) -> np.ndarray:
-        """The action for this step. Raises GuiderError if shapes or values do not fit the policy."""
+        """The action for this step. Raises GuiderError if shapes or values do not fit the policy. Warns where it knows
+        of no way to the goal, and heads for the place nearest to it that one leads to."""
         seen = _vector(observation, self.policy.state_dim, "observation")
         aim = _vector(goal, self.policy.goal_dim, "goal")
         self._tell_of_what_is_far_off(seen, aim)
+        self._tell_of_a_dead_end(seen, aim)
         actions, self._state = compiled_act(
             self.policy, seen[None], aim[None], self._state, jnp.asarray([self._begins])
         )
@@ -138,6 +141,24 @@ class Agent:
                     stacklevel=3,
                 )
 
+    def _tell_of_a_dead_end(self, observation: np.ndarray, goal: np.ndarray) -> None:
+        """Warn, once for a goal, where no way leads to it."""
+        subgoals = find_method(self.policy.method).subgoals
+        if subgoals is None or subgoals.dead_end is None or np.array_equal(goal, self._aim):
+            return
+        self._aim = goal
+        here = observation[list(self.policy.goal_indices)]
+        found = subgoals.dead_end(self.policy.config, self.policy.state, jnp.asarray(here[None]), goal[None])
+        if found is not None and bool(found[0][0]):
+            place = np.asarray(found[1][0])
+            warnings.warn(
+                GuiderWarning(
+                    f"no logged way leads from {_listed(here)} to the goal {_listed(goal)}; heading for "
+                    f"{_listed(place)}, the place nearest to it that one leads to"
+                ),
+                stacklevel=3,
+            )
+
     @property
     def subgoal(self) -> np.ndarray:
         """[G] the subgoal now pursued, in goal units. Raises GuiderError if the method has none."""
@@ -145,6 +166,10 @@ class Agent:
         if subgoals is None:
             raise GuiderError(f"{self.policy.method} has no subgoals in goal space")
         return np.asarray(subgoals.pursued(self.policy.config, self._state)[0][0])
+
+
+def _listed(place: np.ndarray) -> str:
+    return f"({', '.join(f'{entry:.4g}' for entry in place)})"
 
 
 def _vector(values: ArrayLike, size: int, name: str) -> np.ndarray:

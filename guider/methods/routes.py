@@ -154,26 +154,44 @@ def shortest_steps(edges: jax.Array) -> jax.Array:
     return jax.lax.fori_loop(0, len(edges), through, edges)
 
 
+class Way(NamedTuple):
+    """From where one is to a goal.
+
+    here, there: [B] indices of places, the nearest one and, of those that ways lead to from it, the one nearest to the
+    goal; steps: [B] from the one to the other; arrives: [B] bool, whether there is as near to the goal as any place, or
+    no more than LAST_LEG reach radii off; or there are no places at all.
+    """
+
+    here: jax.Array
+    there: jax.Array
+    steps: jax.Array
+    arrives: jax.Array
+
+
+def way(routes: Routes, achieved: jax.Array, goal: jax.Array, problem: Problem) -> Way:
+    """achieved, goal: [B, G]."""
+
+    def from_one(achieved: jax.Array, goal: jax.Array) -> Way:
+        here = largest_distance(routes.places, achieved, problem.goal_parts).argmin()
+        away = largest_distance(routes.places, goal, problem.goal_parts)
+        there = jnp.where(jnp.isfinite(routes.steps[here]), away, jnp.inf).argmin()
+        arrives = away[there] <= jnp.maximum(away.min(), LAST_LEG * problem.reach_radius)
+        return Way(here, there, routes.steps[here, there], arrives)
+
+    return jax.vmap(from_one)(achieved, goal)
+
+
 def next_place(
     routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, problem: Problem
 ) -> tuple[jax.Array, jax.Array]:
     """Where to go next, [B, G]: of the places that an edge of so many steps leads to, the one with the fewest steps to
     the goal; the goal itself where it is that near. And the steps to the goal, [B].
 
-    Where no way leads to the goal, it is to the place nearest to it that one leads to, and from there to the goal if
-    that is no more than LAST_LEG reach radii off; where there is no place, the goal itself.
+    Where no way leads to the goal, it is to the place nearest to it that one leads to.
     achieved, goal: [B, G].
     """
-    parts = problem.goal_parts
-
-    def from_one(achieved: jax.Array, goal: jax.Array) -> tuple[jax.Array, jax.Array]:
-        here = largest_distance(routes.places, achieved, parts).argmin()
-        away = largest_distance(routes.places, goal, parts)
-        there = jnp.where(jnp.isfinite(routes.steps[here]), away, jnp.inf).argmin()
-        place = jnp.where(routes.edges[here] <= within_steps, routes.steps[:, there], jnp.inf).argmin()
-        left = routes.steps[here, there]
-        arrives = (left <= within_steps) & (away[there] <= jnp.maximum(away.min(), LAST_LEG * problem.reach_radius))
-        arrives |= jnp.isinf(routes.places[here]).any()  # there are no places at all
-        return jnp.where(arrives, goal, routes.places[place]), left
-
-    return jax.vmap(from_one)(achieved, goal)
+    found = way(routes, achieved, goal, problem)
+    to_go = jnp.where(routes.edges[found.here] <= within_steps, routes.steps[:, found.there].T, jnp.inf)
+    place = routes.places[to_go.argmin(axis=1)]
+    straight = found.arrives & ((found.steps <= within_steps) | jnp.isinf(routes.places[found.here]).any(axis=1))
+    return jnp.where(straight[:, None], goal, place), found.steps

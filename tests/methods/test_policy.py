@@ -28,7 +28,9 @@ def echo(config, state, goal_indices, observation, goal, acting, reset_mask):
 @pytest.fixture
 def policy(monkeypatch) -> Policy:
     """Two state entries, the second of which is the goal; three actions, which are what `echo` answers."""
-    method = SimpleNamespace(act=echo, initial_acting_state=lambda config, goal_dim, count: jnp.zeros(count))
+    method = SimpleNamespace(
+        act=echo, initial_acting_state=lambda config, goal_dim, count: jnp.zeros(count), subgoals=None
+    )
     monkeypatch.setitem(METHODS, "echo", method)
     return Policy((), -jnp.ones(3), jnp.ones(3), "echo", Config(), (1,), 2)
 

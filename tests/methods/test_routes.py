@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import warnings
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import guider
 from guider.data.episodes import Episodes, make_episodes
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.learning.problem import Problem
 from guider.learning.windows import device_data
 from guider.methods.routes import (
@@ -173,3 +176,24 @@ def test_more_logged_windows_than_one_make_an_edge_of_many_wanted():
 def test_settings_that_make_no_graph_are_refused(wrong):
     with pytest.raises(GuiderError, match=next(iter(wrong))):
         RoutesConfig(**wrong)
+
+
+def test_an_agent_says_where_it_goes_instead_of_a_goal_that_no_way_leads_to(tmp_path):
+    """Two halls side by side, learned from with next to no updates."""
+    logs = walks(*[line((0, 0), (6, 0), 6)] * 6, *[line((0, 5), (6, 5), 6)] * 6)
+    small = {f"{level}.updates": 2 for level in ("latent", "low")} | {"low.hidden": (8,), "latent.hidden": (8,)}
+    small |= {"routes.places": 40, "routes.spacing": 0.5}
+    own: Any = {"radius": 0.5, "period_steps": 4, "held_out": 0.0}
+    run = guider.train(data=logs, method="guider-routes", settings=small, out=tmp_path / "run", **own)
+    agent = guider.load(run)
+    here, there = np.zeros(2), np.array([4.0, 5.0])
+    said = r"no logged way leads from \(0, 0\) to the goal \(4, 5\); heading for \(4, 0\), the place nearest"
+    with pytest.warns(GuiderWarning, match=said):
+        agent.act(here, there)
+    np.testing.assert_allclose(agent.subgoal, [2, 0], atol=0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        agent.act(here, there)  # said once
+        agent.act(here, np.array([5.0, 0.0]))
+    with pytest.warns(GuiderWarning, match="no logged way"):
+        agent.act(here, there)
