@@ -157,26 +157,41 @@ def shortest_steps(edges: jax.Array) -> jax.Array:
 class Way(NamedTuple):
     """From where one is to a goal.
 
-    here, there: [B] indices of places, the nearest one and, of those that ways lead to from it, the one nearest to the
-    goal; steps: [B] from the one to the other; arrives: [B] bool, whether there is as near to the goal as any place, or
-    no more than LAST_LEG reach radii off; or there are no places at all.
+    here, there: [B] indices of places, the one that one is at and, of those that ways lead to from it, the one nearest
+    to the goal; steps: [B] from the one to the other; following: [B] the place to go to next; arrives: [B] bool,
+    whether `there` is as near to the goal as any place, or no more than LAST_LEG reach radii off.
     """
 
     here: jax.Array
     there: jax.Array
     steps: jax.Array
+    following: jax.Array
     arrives: jax.Array
 
 
-def way(routes: Routes, achieved: jax.Array, goal: jax.Array, problem: Problem) -> Way:
-    """achieved, goal: [B, G]."""
+def way(routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, problem: Problem) -> Way:
+    """Next is, of the places that an edge of so many steps leads to, the one with the fewest steps to the goal.
+
+    One is at the nearest place; but where the next one from there has more steps to go than a place that is reached
+    already, one is at that: from a place that few windows passed, the only edge may lead back.
+    achieved, goal: [B, G].
+    """
 
     def from_one(achieved: jax.Array, goal: jax.Array) -> Way:
-        here = largest_distance(routes.places, achieved, problem.goal_parts).argmin()
+        distance = largest_distance(routes.places, achieved, problem.goal_parts)
         away = largest_distance(routes.places, goal, problem.goal_parts)
-        there = jnp.where(jnp.isfinite(routes.steps[here]), away, jnp.inf).argmin()
+        nearest = distance.argmin()
+        there = jnp.where(jnp.isfinite(routes.steps[nearest]), away, jnp.inf).argmin()
+        to_go = routes.steps[:, there]
+
+        def after(place: jax.Array) -> jax.Array:
+            return jnp.where(routes.edges[place] <= within_steps, to_go, jnp.inf).argmin()
+
+        reached = jnp.where(distance <= problem.reach_radius, to_go, jnp.inf).argmin()
+        here = jnp.where(to_go[after(nearest)] <= to_go[reached], nearest, reached)
+        here = jnp.where(distance[here] <= problem.reach_radius, here, nearest)
         arrives = away[there] <= jnp.maximum(away.min(), LAST_LEG * problem.reach_radius)
-        return Way(here, there, routes.steps[here, there], arrives)
+        return Way(here, there, to_go[here], after(here), arrives)
 
     return jax.vmap(from_one)(achieved, goal)
 
@@ -184,14 +199,12 @@ def way(routes: Routes, achieved: jax.Array, goal: jax.Array, problem: Problem) 
 def next_place(
     routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, problem: Problem
 ) -> tuple[jax.Array, jax.Array]:
-    """Where to go next, [B, G]: of the places that an edge of so many steps leads to, the one with the fewest steps to
-    the goal; the goal itself where it is that near. And the steps to the goal, [B].
+    """Where to go next, [B, G]: the next place of the way; the goal itself where it is that near, or where there are no
+    places. And the steps to the goal, [B].
 
     Where no way leads to the goal, it is to the place nearest to it that one leads to.
     achieved, goal: [B, G].
     """
-    found = way(routes, achieved, goal, problem)
-    to_go = jnp.where(routes.edges[found.here] <= within_steps, routes.steps[:, found.there].T, jnp.inf)
-    place = routes.places[to_go.argmin(axis=1)]
+    found = way(routes, achieved, goal, within_steps, problem)
     straight = found.arrives & ((found.steps <= within_steps) | jnp.isinf(routes.places[found.here]).any(axis=1))
-    return jnp.where(straight[:, None], goal, place), found.steps
+    return jnp.where(straight[:, None], goal, routes.places[found.following]), found.steps

@@ -145,6 +145,19 @@ def test_to_a_goal_that_no_way_leads_to_it_is_to_the_nearest_place_that_one_does
     assert left == 4
 
 
+def test_a_place_whose_only_edge_leads_back_is_not_gone_back_from():
+    """The way is 0, 1, 2, 3; off it lies 1.9, from where all that was seen went back to 1. Who is nearest to 1.9 has
+    reached 2 already."""
+    places = jnp.array([[0.0, 0], [1.5, 0], [3, 0], [4.5, 0], [2.6, 0.2]])
+    edges = jnp.full((5, 5), jnp.inf).at[jnp.arange(5), jnp.arange(5)].set(0.0)
+    edges = edges.at[jnp.array([0, 1, 2, 4]), jnp.array([1, 2, 3, 1])].set(jnp.array([3.0, 3, 3, 2]))
+    routes = Routes(places, edges, shortest_steps(edges))
+    at, goal = jnp.array([[2.6, 0.2], [1.6, 0.0], [0.0, 0.0]]), jnp.array([[4.5, 0.0]] * 3)
+    subgoal, left = next_place(routes, at, goal, 3.0, SMALL)
+    np.testing.assert_allclose(subgoal, [[4.5, 0], [3, 0], [1.5, 0]])
+    assert left.tolist() == [3, 6, 9]
+
+
 def test_from_the_last_place_it_is_to_a_goal_no_more_than_two_reach_radii_off():
     """The other hall's places are nearer to the goal, which lies between the two."""
     routes = graph(walks(line((0, 0), (6, 0), 6), line((0, 5), (6, 5), 6)), spacing=0.5)
