@@ -24,8 +24,11 @@ STITCH_CELLS = 4
 EXPLORE_STEPS = 10
 MIN_NORM = 0.4
 """Least size of what a Markov oracle asks for."""
-DRAWER_SIDES_M = (-0.3, 0.29)
-DRAWER_HEIGHT_M = (0.06, 0.08)
+LEFT_M, RIGHT_M = -0.3, 0.29
+IN_DRAWER_M = (0.06, 0.08)
+"""Heights of a cube that lies in the drawer, which stands on the left."""
+CUBE_QPOS = slice(14, 17)
+"""Where a scene's only cube is."""
 
 
 class Play(Protocol):
@@ -137,11 +140,10 @@ class Wander:
 
     def __call__(self, env: Any, steps: int, seed: int, log: Log) -> None:
         """See Play."""
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng([seed, 1])  # the environment draws joints from default_rng(seed)
         cells, ends = np.argwhere(env.maze_map == 0), _not_in_corridors(env.maze_map)
         start = _any_of(cells, rng)
         goal = _any_of(_cells_away(env, start, STITCH_CELLS) if self.kind == "stitch" else ends, rng)
-        env.action_space.seed(seed)
         observation, _ = env.reset(seed=seed, options={"task_info": {"init_ij": start, "goal_ij": goal}})
         way: dict[tuple[Any, ...], np.ndarray] = {}
         direction = np.zeros(2)
@@ -211,12 +213,12 @@ class PlayAtTable:
 
     def __call__(self, env: Any, steps: int, seed: int, log: Log) -> None:
         """See Play."""
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng([seed, 1])
         healthy = False
         while not healthy:
             log.rows.clear()
             self._play_once(env, steps, int(rng.integers(2**31)), rng, log)
-            healthy = not hasattr(env, "_drawer_site_id") or _is_in_sight(np.array(log.rows["qpos"])[:, 14:17])
+            healthy = not hasattr(env, "_drawer_site_id") or _is_in_sight(np.array(log.rows["qpos"])[:, CUBE_QPOS])
 
     def _play_once(self, env: Any, steps: int, seed: int, rng: np.random.Generator, log: Log) -> None:
         oracles = self._oracles(env)
@@ -262,12 +264,12 @@ class PlayAtTable:
         }
 
 
-_STACKING = {"single": (0.0, 0.0), "double": (0.0, 0.25), "triple": (0.05, 0.35), "quadruple": (0.1, 0.5)}
+_STACKING = {"single": (0.0, 0.0), "double": (0.0, 0.25), "triple": (0.05, 0.35)}
 """(least, greatest) chance that a cube is to be put on another one; an episode draws its own."""
 
 
 def _is_in_sight(cube: np.ndarray) -> bool:
-    """[rows, 3] positions: whether the cube never lies beside the drawer, nor too far from it to be seen."""
+    """[rows, 3] positions: whether the cube never lies too far to the right, nor to the left unless in the drawer."""
     _, side, height = cube.T
-    beside = (side <= DRAWER_SIDES_M[0]) & ((height < DRAWER_HEIGHT_M[0]) | (height > DRAWER_HEIGHT_M[1]))
-    return not (side >= DRAWER_SIDES_M[1]).any() and not beside.any()
+    outside = (height < IN_DRAWER_M[0]) | (height > IN_DRAWER_M[1])
+    return not (side >= RIGHT_M).any() and not ((side <= LEFT_M) & outside).any()

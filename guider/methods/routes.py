@@ -170,7 +170,8 @@ class Way(NamedTuple):
 
 
 def way(routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: float, problem: Problem) -> Way:
-    """Next is, of the places that an edge of so many steps leads to, the one with the fewest steps to the goal.
+    """Next is, of the places that an edge of so many steps leads to, the one with the fewest steps to the goal; where
+    none that short leads nearer, the next one on the shortest way.
 
     One is at the nearest place; but where the next one from there has more steps to go than a place that is reached
     already, one is at that: from a place that few windows passed, the only edge may lead back.
@@ -185,7 +186,9 @@ def way(routes: Routes, achieved: jax.Array, goal: jax.Array, within_steps: floa
         to_go = routes.steps[:, there]
 
         def after(place: jax.Array) -> jax.Array:
-            return jnp.where(routes.edges[place] <= within_steps, to_go, jnp.inf).argmin()
+            within = jnp.where(routes.edges[place] <= within_steps, to_go, jnp.inf).argmin()
+            onward = jnp.where(jnp.arange(len(to_go)) == place, jnp.inf, routes.edges[place] + to_go).argmin()
+            return jnp.where((within == place) & (place != there), onward, within)
 
         reached = jnp.where(distance <= problem.reach_radius, to_go, jnp.inf).argmin()
         here = jnp.where(to_go[after(nearest)] <= to_go[reached], nearest, reached)

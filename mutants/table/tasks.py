@@ -32,7 +32,7 @@ TABLE: Table = {
         ("if rng.random() < self.random", "if False", "collect/test_ogbench.py"),
         ("== [(0, 0), (1, 1)]", "== [(1, 1), (1, 1)]", "collect/test_ogbench.py"),
         ("with numpys_generator(own)", "with nullcontext()", "collect/test_ogbench.py"),
-        ("return not (side >= DRAWER_SIDES_M[1]).any() and", "return", "collect/test_ogbench.py"),
+        ("return not (side >= RIGHT_M).any() and", "return", "collect/test_ogbench.py"),
     ],
     "guider/tasks/ogbench_tables.py": [
         ("part_radii=(radius, radius, radius, *slide_radii)", "part_radii=()", "tasks/test_ogbench_tables.py"),

@@ -158,6 +158,15 @@ def test_a_place_whose_only_edge_leads_back_is_not_gone_back_from():
     assert left.tolist() == [3, 6, 9]
 
 
+def test_edges_longer_than_asked_for_are_taken_where_none_leads_on():
+    places = jnp.array([[0.0, 0], [4, 0], [8, 0]])
+    edges = jnp.array([[0.0, 8, INF], [INF, 0, 8], [INF, INF, 0]])
+    routes = Routes(places, edges, shortest_steps(edges))
+    subgoal, left = next_place(routes, jnp.array([[0.1, 0.0]]), jnp.array([[8.0, 0.0]]), 7.0, SMALL)
+    np.testing.assert_allclose(subgoal, [[4, 0]])
+    assert left == 16
+
+
 def test_from_the_last_place_it_is_to_a_goal_no_more_than_two_reach_radii_off():
     """The other hall's places are nearer to the goal, which lies between the two."""
     routes = graph(walks(line((0, 0), (6, 0), 6), line((0, 5), (6, 5), 6)), spacing=0.5)
