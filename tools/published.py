@@ -26,7 +26,7 @@ OGBENCH = {
     "antmaze-giant-navigate": Published(0, 0, 0, 14, 16, 65, "S2AW 87"),
     "antmaze-giant-stitch": Published(0, 0, 0, 0, 0, 2, "GAS 88"),
     "cube-single-play": Published(6, 53, 68, 5, 19, 15, "S2AW 86"),
-    "cube-double-play": Published(1, 36, 40, 1, 10, 6, "57"),
+    "cube-double-play": Published(1, 36, 40, 1, 10, 6, "S2AW 57"),
     "scene-play": Published(5, 42, 51, 5, 19, 38, "ORS 80"),
     "puzzle-3x3-play": Published(2, 6, 95, 1, 3, 12, "GCIQL 95"),
 }

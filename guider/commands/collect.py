@@ -40,10 +40,10 @@ def collect(task: TaskName, out: Path, steps: int | None = None, seed: int = 0, 
     if layout == "d4rl":
         write_d4rl(out, recording, found.goal_indices, found.radius, found.goal_parts)
     elif layout == "ogbench":
+        write_ogbench(out, recording)
         with bar("recording for validation", "steps") as show:
             validation = found.collector.record(max(2, steps // 10), seed + OTHER_SEEDS, show)
         write_ogbench(validation_file(out), validation)
-        write_ogbench(out, recording)
     else:
         with bar("writing", "episodes") as show:
             write_minari(

@@ -9,8 +9,8 @@ from typing import Any
 
 from guider.critics import contrastive, iql, ivl, quasimetric
 from guider.critics.contrastive import ContrastiveConfig
-from guider.critics.iql import IqlConfig
-from guider.critics.ivl import IvlConfig
+from guider.critics.iql import ImplicitQConfig
+from guider.critics.ivl import ImplicitVConfig
 from guider.critics.quasimetric import QuasimetricConfig
 from guider.critics.types import Steps
 
@@ -18,14 +18,14 @@ __all__ = [
     "ContrastiveConfig",
     "Critic",
     "CriticConfig",
-    "IqlConfig",
-    "IvlConfig",
+    "ImplicitQConfig",
+    "ImplicitVConfig",
     "QuasimetricConfig",
     "Steps",
     "critic",
 ]
 
-CriticConfig = ContrastiveConfig | IqlConfig | IvlConfig | QuasimetricConfig
+CriticConfig = ContrastiveConfig | ImplicitQConfig | ImplicitVConfig | QuasimetricConfig
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Critic:
 
 _CRITICS: dict[type, Critic] = {
     ContrastiveConfig: Critic(contrastive.init, contrastive.loss, quality=contrastive.quality),
-    IqlConfig: Critic(iql.init, iql.loss, quality=iql.quality),
-    IvlConfig: Critic(ivl.init, ivl.loss, advantage=ivl.advantage),
+    ImplicitQConfig: Critic(iql.init, iql.loss, quality=iql.quality),
+    ImplicitVConfig: Critic(ivl.init, ivl.loss, advantage=ivl.advantage),
     QuasimetricConfig: Critic(quasimetric.init, quasimetric.loss, quality=quasimetric.quality),
 }
 

@@ -17,7 +17,7 @@ from guider.support.config import check_fraction
 
 
 @dataclass(frozen=True)
-class IqlConfig:
+class ImplicitQConfig:
     """Settings. Defaults are OGBench's."""
 
     kind: Literal["iql"] = "iql"
@@ -33,7 +33,7 @@ class Params(NamedTuple):
 
 
 def init(
-    key: jax.Array, config: IqlConfig, hidden: tuple[int, ...], state_dim: int, place_dim: int, action_dim: int
+    key: jax.Array, config: ImplicitQConfig, hidden: tuple[int, ...], state_dim: int, place_dim: int, action_dim: int
 ) -> Params:
     value_key, twins_key = jax.random.split(key)
     return Params(
@@ -53,7 +53,9 @@ def qualities(params: Params, state: jax.Array, action: jax.Array, goal: jax.Arr
     return jax.vmap(lambda layers: layer_norm_mlp(layers, seen)[..., 0])(params.twins)
 
 
-def loss(config: IqlConfig, params: Params, target: Params, steps: Steps, discount: float) -> tuple[jax.Array, Metrics]:
+def loss(
+    config: ImplicitQConfig, params: Params, target: Params, steps: Steps, discount: float
+) -> tuple[jax.Array, Metrics]:
     """Expectile regression of V on min Q_target(s, a, g), and regression of both Q on r + gamma * V(s', g)."""
     logged = qualities(target, steps.state, steps.action, steps.goal).min(axis=0)
     current = value(params, steps.state, steps.goal)
@@ -65,6 +67,6 @@ def loss(config: IqlConfig, params: Params, target: Params, steps: Steps, discou
     return expectile + error, {"value_error": expectile, "td_error": error, "value": current.mean()}
 
 
-def quality(config: IqlConfig, params: Params, state: jax.Array, action: jax.Array, goal: jax.Array) -> jax.Array:
+def quality(config: ImplicitQConfig, params: Params, state: jax.Array, action: jax.Array, goal: jax.Array) -> jax.Array:
     """The smaller Q(s, a, g), [B]."""
     return qualities(params, state, action, goal).min(axis=0)

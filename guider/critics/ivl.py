@@ -17,7 +17,7 @@ from guider.support.config import check_fraction
 
 
 @dataclass(frozen=True)
-class IvlConfig:
+class ImplicitVConfig:
     """Settings. Defaults are OGBench's."""
 
     kind: Literal["ivl"] = "ivl"
@@ -32,7 +32,7 @@ Params = Layers
 
 
 def init(
-    key: jax.Array, config: IvlConfig, hidden: tuple[int, ...], state_dim: int, place_dim: int, action_dim: int
+    key: jax.Array, config: ImplicitVConfig, hidden: tuple[int, ...], state_dim: int, place_dim: int, action_dim: int
 ) -> Params:
     return twin_init(key, (state_dim + place_dim, *hidden, 1))
 
@@ -43,7 +43,9 @@ def values(params: Params, state: jax.Array, goal: jax.Array) -> jax.Array:
     return jax.vmap(lambda layers: layer_norm_mlp(layers, seen)[..., 0])(params)
 
 
-def loss(config: IvlConfig, params: Params, target: Params, steps: Steps, discount: float) -> tuple[jax.Array, Metrics]:
+def loss(
+    config: ImplicitVConfig, params: Params, target: Params, steps: Steps, discount: float
+) -> tuple[jax.Array, Metrics]:
     """Expectile regression of V(s, g) on r + gamma * V_target(s', g); sum over the twins.
 
     Each twin regresses on its own target; which side of the expectile a row is on is the sign of
@@ -57,7 +59,7 @@ def loss(config: IvlConfig, params: Params, target: Params, steps: Steps, discou
     return error.mean(axis=-1).sum(), {"value_error": error.mean(), "value": estimate.mean()}
 
 
-def advantage(config: IvlConfig, params: Params, steps: Steps) -> jax.Array:
+def advantage(config: ImplicitVConfig, params: Params, steps: Steps) -> jax.Array:
     """How much nearer the step came, [B]: V(s', g) - V(s, g), means of the twins."""
     after, before = values(params, steps.next_state, steps.goal), values(params, steps.state, steps.goal)
     return (after - before).mean(axis=0)

@@ -1,8 +1,9 @@
 """d(s, g), the steps from a state to a goal, as a quasimetric on a latent space: far apart as a whole, one step apart
 where a logged step leads (quasimetric RL, Wang et al. 2023; OGBench's QRL), with a model of what actions do there.
 
-States and places have encoders of their own. A place is what the states in it have in common: being in one, it is no
-step to the other, d(phi(s), psi(s^G)) <= 0. Where a state is its place, that is the original.
+Where it differs from OGBench's: states and places have encoders of their own, since goals are places. A place is what
+the states in it have in common: being in one, it is no step to the other, d(phi(s), psi(s^G)) <= 0, held by the same
+multiplier.
 """
 
 from __future__ import annotations

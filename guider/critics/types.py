@@ -10,14 +10,13 @@ import jax
 class Steps(NamedTuple):
     """Logged steps towards a goal, as networks see them (scaled).
 
-    state, next_state: [B, S]; action: [B, A] in [-1, 1]; place, next_place, goal: [B, P], where the two states are in
-    goal space, and the goal; unmet: [B], 1 until the state meets the goal, where the episode ends, else 0.
+    state, next_state: [B, S]; action: [B, A] in [-1, 1]; place, goal: [B, P], where the state is in goal space, and the
+    goal; unmet: [B], 1 until the state meets the goal, where the episode ends, else 0.
     """
 
     state: jax.Array
     action: jax.Array
     next_state: jax.Array
     place: jax.Array
-    next_place: jax.Array
     goal: jax.Array
     unmet: jax.Array

@@ -58,12 +58,13 @@ def write_ogbench(path: Path, recording: Recording) -> None:
     """Write an npz laid out as OGBench's; the file appears only when it is complete.
 
     observations and actions are float32; terminals are True in the last row of each episode, whose action nothing
-    reads; qpos, qvel and button_states are there where they were recorded.
+    reads; goals, qpos, qvel and button_states are there where they were recorded, OGBench's loader passes over goals.
     """
     terminals = np.zeros(len(recording.observations), bool)
     terminals[np.cumsum(recording.lengths) - 1] = True
     arrays = {"observations": recording.observations, "actions": recording.actions, "terminals": terminals}
-    write_npz(path, arrays | dict(recording.simulation))
+    goals = {} if recording.goals is None else {"goals": recording.goals}
+    write_npz(path, arrays | goals | dict(recording.simulation))
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:

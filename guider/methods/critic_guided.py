@@ -1,15 +1,20 @@
 """OGBench's methods without subgoals (Park et al. 2025): a policy that a critic guides towards the final goal.
 
 GCIVL, GCIQL, CRL and QRL are one policy and four critics (guider.critics). Preset `paper` is OGBench's code with its
-settings for the domain; where it differs: goals are places instead of whole states, as everywhere in this package; an
-episode of the value ends within the task's radius of the goal, instead of in its very state; layer norms have no gains
-and shifts of their own; networks start as PyTorch's do. What OGBench sets by dataset is to be set: `discount=0.995` in
-giant mazes, `actor_random_goal_fraction=0.5` for stitch and explore.
+settings for a domain's navigate and play sets; where it differs: goals are places instead of whole states, as
+everywhere in this package; an episode of the value ends within the task's radius of the goal, instead of in its very
+state; layer norms have no gains and shifts of their own; networks start as PyTorch's do; and what QRL's critic says in
+its file. What OGBench sets by dataset is to be set:
+
+    giant mazes     discount=0.995
+    stitch          actor_random_goal_fraction=0.5
+    explore         actor_random_goal_fraction=1, cloning=0.01 (gciql), 0.003 (crl), 0.001 (qrl)
+    noisy           cloning=0.03 (gciql), 0.1 (crl), 0.03 (qrl)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,8 +24,8 @@ import jax.numpy as jnp
 from guider.critics import (
     ContrastiveConfig,
     CriticConfig,
-    IqlConfig,
-    IvlConfig,
+    ImplicitQConfig,
+    ImplicitVConfig,
     QuasimetricConfig,
     Steps,
     critic,
@@ -70,7 +75,7 @@ class CriticGuidedConfig:
     """Where logged actions are weighed (ivl): advantages, in steps, are divided by this before the exponential."""
     cloning: float = 0.3
     """Where the policy climbs the critic (all others): weight of keeping to logged actions."""
-    critic: CriticConfig = field(default_factory=IvlConfig)
+    critic: CriticConfig = field(default_factory=ImplicitVConfig)
 
     def __post_init__(self) -> None:
         check_networks(self)
@@ -129,7 +134,6 @@ def label(config: CriticGuidedConfig, scale: Scale, batch: CriticBatch, goal: ja
         action=batch.action,
         next_state=state_inputs(scale, batch.next_observation, batch.next_achieved),
         place=scale.position(batch.achieved),
-        next_place=scale.position(batch.next_achieved),
         goal=scale.position(goal),
         unmet=(reward < 0).astype(jnp.float32),
     )
@@ -227,34 +231,57 @@ FAST_IN_DOMAIN: ByDomain = {
     "fetch": MANIPULATION,
     "kitchen": MANIPULATION | {"view.smallest_spread": 0.1},
 }
-_POINT, _ARM = "ogbench-pointmaze", ("ogbench-cube", "ogbench-scene", "ogbench-puzzle")
+_ARM = "ogbench-cube", "ogbench-scene", "ogbench-puzzle"
+
+
+class Cloning(NamedTuple):
+    """OGBench's weights by domain: of its point, its arm, its humanoid, and of all else, its ant above all."""
+
+    point: float
+    arm: float
+    humanoid: float
+    elsewhere: float
+
+    def of(self, domain: str | None) -> float:
+        known = {"ogbench-pointmaze": self.point, "humanoidmaze": self.humanoid} | dict.fromkeys(_ARM, self.arm)
+        return known.get(domain or "", self.elsewhere)
 
 
 def critic_guided_config(
-    preset: Preset, problem: Problem, kind: CriticConfig, cloning: tuple[float, float, float], goals: Changes
+    preset: Preset, problem: Problem, kind: CriticConfig, cloning: Cloning | None, goals: Changes
 ) -> CriticGuidedConfig:
-    """Settings for a problem. cloning: OGBench's for its point, its arm, and all else; goals: the critic's."""
-    at_point, at_arm, elsewhere = cloning
-    weight = at_point if problem.domain == _POINT else at_arm if problem.domain in _ARM else elsewhere
-    paper = override(CriticGuidedConfig(problem=problem, critic=kind, cloning=weight), goals)
+    """Settings for a problem. cloning: None of a policy that does not climb; goals: the critic's."""
+    paper = override(CriticGuidedConfig(problem=problem, critic=kind), goals)
+    if cloning is not None:
+        paper = replace(paper, cloning=cloning.of(problem.domain))
+    if problem.domain == "humanoidmaze":
+        paper = replace(paper, discount=0.995)
     if preset == "paper":
         return paper
     small = {"critic.representation_dim": 64} if hasattr(kind, "representation_dim") else {}
     return fast(paper, FAST | small, FAST_IN_DOMAIN)
 
 
-def _method(
-    label: str, kind: CriticConfig, cloning: tuple[float, float, float] = (0.3, 0.3, 0.3), **goals: float
-) -> Method:
+def _method(label: str, kind: CriticConfig, cloning: Cloning | None = None, **goals: float) -> Method:
     config = partial(critic_guided_config, kind=kind, cloning=cloning, goals=goals)
     return Method(label, CriticGuidedConfig, config, init, stages, initial_acting_state, act, acts_by)
 
 
 METHODS = {
-    "gcivl": _method("GCIVL", IvlConfig()),
-    "gciql": _method("GCIQL", IqlConfig(), (0.003, 1.0, 0.3)),
-    "crl": _method("CRL", ContrastiveConfig(), (0.03, 3.0, 0.1), current_goal_fraction=0.0, random_goal_fraction=0.0),
+    "gcivl": _method("GCIVL", ImplicitVConfig()),
+    "gciql": _method("GCIQL", ImplicitQConfig(), Cloning(0.003, 1.0, 0.1, 0.3)),
+    "crl": _method(
+        "CRL",
+        ContrastiveConfig(),
+        Cloning(0.03, 3.0, 0.1, 0.1),
+        current_goal_fraction=0.0,
+        random_goal_fraction=0.0,
+    ),
     "qrl": _method(
-        "QRL", QuasimetricConfig(), (0.0003, 0.3, 0.003), current_goal_fraction=0.0, random_goal_fraction=1.0
+        "QRL",
+        QuasimetricConfig(),
+        Cloning(0.0003, 0.3, 0.001, 0.003),
+        current_goal_fraction=0.0,
+        random_goal_fraction=1.0,
     ),
 }

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import namedtuple
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +20,6 @@ from guider.methods.method import Method
 from guider.methods.view import Scale
 
 SETTINGS = routes.RoutesConfig()
-
-
-class RoutedActing(NamedTuple):
-    """place: [B, G] that was pursued last; inner: what the method itself remembers."""
-
-    place: jax.Array
-    inner: Any
 
 
 @cache
@@ -46,33 +39,27 @@ def routed(method: Method) -> Method:
         build = Stage("routes", "routes", 1, lambda state, data, key: routes.build(SETTINGS, data, config.problem))
         return *method.stages(config), build
 
-    def initial_acting_state(config: Any, goal_dim: int, batch_size: int) -> RoutedActing:
-        inner = method.initial_acting_state(config, goal_dim, batch_size)
-        return RoutedActing(jnp.zeros((batch_size, goal_dim)), inner)
-
     def act(
         config: Any,
         state: Any,
         goal_indices: tuple[int, ...],
         observation: jax.Array,
         goal: jax.Array,
-        acting: RoutedActing,
+        acting: Any,
         reset_mask: jax.Array,
-    ) -> tuple[jax.Array, RoutedActing]:
+    ) -> tuple[jax.Array, Any]:
         problem, achieved = config.problem, observation[..., jnp.asarray(goal_indices)]
         within_steps = SETTINGS.horizon * problem.period_steps
         place, _ = routes.next_place(state.routes, achieved, goal, within_steps, problem)
         near = largest_distance(achieved, goal, problem.goal_parts) <= problem.reach_radius
         place = jnp.where(near[..., None], goal, place)
-        actions, inner = method.act(config, state, goal_indices, observation, place, acting.inner, reset_mask)
-        return actions, RoutedActing(place, inner)
+        return method.act(config, state, goal_indices, observation, place, acting, reset_mask)
 
     return replace(
         method,
         label=f"{method.label} + routes",
         init=init,
         stages=stages,
-        initial_acting_state=initial_acting_state,
         act=act,
         acts_by=lambda config: f"{method.acts_by(config)}, led to it from one logged place to the next",
         subgoals=None,

@@ -64,8 +64,7 @@ TABLE: Table = {
             _GUIDED,
         ),
         ("trail(old.target, params.critic", "trail(old.target, old.params.critic", _GUIDED),
-        ("scale.position(batch.next_achieved)", "scale.position(batch.achieved)", _GUIDED),
-        ("at_point if problem.domain == _POINT", "at_point if problem.domain != _POINT", _GUIDED),
+        ("known.get(domain or", "{}.get(domain or", _GUIDED),
     ],
     "guider/learning/samplers.py": [
         ("uniform(kind_key, rows.shape) < current_goal", "uniform(goal_key, rows.shape) < current_goal", _GOALS),

@@ -67,6 +67,7 @@ TABLE: Table = {
             "terminals[np.cumsum(recording.lengths)[:-1]] = True",
             "data/test_layouts.py",
         ),
-        ("arrays | dict(recording.simulation)", "arrays", "collect/test_ogbench.py"),
+        ("goals | dict(recording.simulation)", "goals", "collect/test_ogbench.py"),
+        ("arrays | goals |", "arrays |", "data/test_write.py"),
     ],
 }

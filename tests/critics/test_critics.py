@@ -16,8 +16,8 @@ from reference import normal, plain, shaken
 from guider.critics import (
     ContrastiveConfig,
     CriticConfig,
-    IqlConfig,
-    IvlConfig,
+    ImplicitQConfig,
+    ImplicitVConfig,
     QuasimetricConfig,
     Steps,
     critic,
@@ -37,9 +37,7 @@ def float64():
         yield
 
 
-STEPS = dict(
-    state=(1, ROWS, STATES), next_state=(2, ROWS, STATES), place=(3, ROWS, PLACES), next_place=(4, ROWS, PLACES)
-)
+STEPS = dict(state=(1, ROWS, STATES), next_state=(2, ROWS, STATES), place=(3, ROWS, PLACES))
 
 
 def some_steps() -> Steps:
@@ -89,7 +87,7 @@ def both(twins, seen):
 
 
 def test_implicit_v_learning():
-    learned = asked(IvlConfig(expectile=0.8))
+    learned = asked(ImplicitVConfig(expectile=0.8))
     s, target = plain(learned.steps), plain(learned.target)
     now, then = joined(s.state, s.goal), joined(s.next_state, s.goal)
     following = -s.unmet + DISCOUNT * s.unmet * both(target, then)
@@ -108,7 +106,7 @@ def test_implicit_v_learning():
 
 
 def test_implicit_q_learning():
-    learned = asked(IqlConfig(expectile=0.8))
+    learned = asked(ImplicitQConfig(expectile=0.8))
     s, old = plain(learned.steps), plain(learned.params)
     pair = joined(s.state, s.goal, s.action)
     logged = both(plain(learned.target).twins, pair).min(0)
@@ -225,7 +223,7 @@ def test_quasimetric():
     )
 
 
-@pytest.mark.parametrize("kind", [IvlConfig(), IqlConfig()], ids=["weighed", "climbing"])
+@pytest.mark.parametrize("kind", [ImplicitVConfig(), ImplicitQConfig()], ids=["weighed", "climbing"])
 def test_the_policy_follows_its_critic(kind):
     """Weighed: exp(A / temperature) up to 100 times half the squared miss. Climbing: minus Q of its own, clipped action
     as a share of mean |Q|, and `cloning` times half the squared miss."""
@@ -246,7 +244,7 @@ def test_the_policy_follows_its_critic(kind):
 
     def loss(layers):
         surprise = 0.5 * ((acted(layers) - s.action) ** 2).sum(-1)
-        if isinstance(kind, IvlConfig):
+        if isinstance(kind, ImplicitVConfig):
             gain = (both(judge, then) - both(judge, now)).mean(0)
             return (np.minimum(np.exp(gain / 0.5), 100) * surprise).mean()
         size = np.abs(quality(acted(plain(actor)))).mean() + 1e-6

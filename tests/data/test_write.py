@@ -18,7 +18,7 @@ from guider.cli import main
 from guider.data import load, write
 from guider.data.episodes import Episodes, make_episodes
 from guider.data.store import Recording
-from guider.data.write import check_destination, write_d4rl, write_minari
+from guider.data.write import check_destination, write_d4rl, write_minari, write_ogbench
 from guider.errors import GuiderError
 
 LENGTHS = (7, 2, 1, 30, 12)
@@ -126,6 +126,13 @@ def test_d4rl_comes_back_equal(tmp_path, goals):
     recording = recorded(goals)
     write_d4rl(tmp_path / "new" / "walk.hdf5", recording, GOAL, 0.5)
     assert load(tmp_path / "new" / "walk.hdf5", GOAL).fingerprint() == as_episodes(recording).fingerprint()
+
+
+@pytest.mark.parametrize("goals", [True, False])
+def test_ogbench_comes_back_equal(tmp_path, goals):
+    recording = recorded(goals)
+    write_ogbench(tmp_path / "new" / "walk.npz", recording)
+    assert load(tmp_path / "new" / "walk.npz", GOAL).fingerprint() == as_episodes(recording).fingerprint()
 
 
 def on_a_line() -> Recording:
