@@ -13,7 +13,7 @@ class Published(NamedTuple):
     qrl: int
     crl: int
     hiql: int
-    best: str
+    best_since: str
 
 
 OGBENCH = {

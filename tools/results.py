@@ -130,7 +130,7 @@ def ogbench(store: Path) -> list[dict[str, str]]:
             minutes = f"{result['training_minutes']:.0f} min"
             goals = " ".join("-" if score is None else f"{score:.0f}" for score in result["per_goal"])
             ours.append(f"{variant} **{scores.mean():.1f}** ({low:.1f} to {high:.1f}; by goal {goals}; {minutes})")
-        theirs = {field: str(value) for field, value in published._asdict().items()}
+        theirs = {field.upper().replace("BEST_SINCE", "best since"): str(value) for field, value in published._asdict().items()}
         rows.append({"data set": name, "ours": "<br>".join(ours)} | theirs)
     return rows
 
