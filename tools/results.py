@@ -27,7 +27,7 @@ from guider.reproduce.scores import training_minutes
 from guider.support.config import differences
 from guider.support.files import parse_json, write_json, write_text
 from guider.tasks import find_task
-from tools.published import OGBENCH
+from tools.published import METHODS, OGBENCH
 
 ROOT = Path(__file__).parent.parent
 STORE = ROOT / "results"
@@ -121,7 +121,6 @@ def ogbench(store: Path) -> list[dict[str, str]]:
     rows = []
     for folder in sorted(store.glob("ogbench-*")):
         name = folder.name.removeprefix("ogbench-").removesuffix("-v0")
-        published = OGBENCH[name]
         found = {file.stem: parse_json(file) for file in sorted(folder.glob("*.json"))}
         ours = []
         for variant, result in found.items():
@@ -130,7 +129,7 @@ def ogbench(store: Path) -> list[dict[str, str]]:
             minutes = f"{result['training_minutes']:.0f} min"
             goals = " ".join("-" if score is None else f"{score:.0f}" for score in result["per_goal"])
             ours.append(f"{variant} **{scores.mean():.1f}** ({low:.1f} to {high:.1f}; by goal {goals}; {minutes})")
-        theirs = {field.upper().replace("BEST_SINCE", "best since"): str(value) for field, value in published._asdict().items()}
+        theirs = dict(zip(METHODS, OGBENCH[name], strict=True))
         rows.append({"data set": name, "ours": "<br>".join(ours)} | theirs)
     return rows
 
