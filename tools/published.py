@@ -1,5 +1,5 @@
-"""OGBench's published success rates, %: means over eight seeds and the last three evaluations of a million updates (Park
-et al. 2025), and the best that others have published since, as far as we know."""
+"""OGBench's published success rates, %: means over eight seeds and the last three evaluations of a million updates
+(Park et al. 2025), and the best that others have published since, as far as we know."""
 
 from __future__ import annotations
 
