@@ -362,6 +362,13 @@ FAST_IN_DOMAIN: ByDomain = {
     "pointmaze": _IN_METRES,
     # A point that goes where its action says is soon learned.
     "ogbench-pointmaze": {"low.updates": 10_000},
+    # Buttons are on or off, and what one press did, the next does too.
+    "ogbench-puzzle": {
+        "view.position_waves": 0,
+        "routes.crossings": 1,
+        "low.relabel_fraction": 1.0,
+        "low.random_goal_fraction": 0.0,
+    },
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'. An object moves within
     # c steps only once the hand is there: with the slack, where it shall go is a subgoal on the way there too. Sized
     # for the tasks' 40,000 episodes: a tenth of them is learned by heart, and wants 8,000 updates.

@@ -124,6 +124,7 @@ def _puzzle_task(rows: int, columns: int, kind: Kind) -> Task:
         state_dim=ARM_ENTRIES + BUTTON_ENTRIES * buttons,
         goal=buttons_goal,
         horizon_steps=500,
+        period_steps=40,  # from one logged press to the next it is 28 to 38
         data=Data(PlayAtTable(kind, 0.2 if kind == "noisy" else 0.0), 1_000, 1_001),
     )
 
@@ -161,6 +162,7 @@ def _task(
     goal: Any,
     horizon_steps: int,
     data: Data,
+    period_steps: int = 25,
 ) -> Task:
     env_id = f"{name}-v0"
     make_table = partial(make_unwrapped, env_id, terminate_at_goal=False, mode="data_collection")
@@ -176,7 +178,7 @@ def _task(
         radius=radius,
         reach_radius=radius,
         horizon_steps=horizon_steps,
-        period_steps=25,
+        period_steps=period_steps,
         environment=f"OGBench {env_id} in MuJoCo {mujoco.__version__}, goals are what objects shall be",
         source="OGBench",
         make_env=partial(GymVectorEnv, partial(make_env, env_id, goal)),
