@@ -15,9 +15,12 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from guider.collect.processes import map_in_processes
+from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
 from guider.errors import GuiderError
 
+MazeKind = Literal["navigate", "stitch", "explore"]
+TableKind = Literal["play", "noisy"]
 EPISODE_ROWS_AT_ONCE = 16_000
 """Rows that a worker process records before it reports: half a minute at most."""
 STITCH_CELLS = 4
@@ -91,8 +94,7 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
             recorded += batch
             report(min(len(recorded) * recipe.episode_steps, steps), steps)
     arrays = {name: np.concatenate([episode[name] for episode in recorded])[:steps] for name in recorded[0]}
-    lengths = np.full(episodes, recipe.episode_steps)
-    lengths[-1] -= episodes * recipe.episode_steps - steps
+    lengths = lengths_from_ends(np.arange(1, steps + 1) % recipe.episode_steps == 0)
     observations, actions = arrays.pop("observations"), arrays.pop("actions")
     bound = np.ones(actions.shape[1], np.float32)
     return Recording(observations, actions, lengths, action_low=-bound, action_high=bound, simulation=arrays)
@@ -134,7 +136,7 @@ class Wander:
     noise: standard deviation of the noise on every action entry
     """
 
-    kind: Literal["navigate", "stitch", "explore"]
+    kind: MazeKind
     act: Callable[[np.ndarray, np.ndarray], np.ndarray]
     noise: float
 
@@ -208,7 +210,7 @@ class PlayAtTable:
     random: share of the steps that a random action is taken at
     """
 
-    kind: Literal["play", "noisy"]
+    kind: TableKind
     random: float = 0.0
 
     def __call__(self, env: Any, steps: int, seed: int, log: Log) -> None:

@@ -60,9 +60,8 @@ def write_ogbench(path: Path, recording: Recording) -> None:
     observations and actions are float32; terminals are True in the last row of each episode, whose action nothing
     reads; goals, qpos, qvel and button_states are there where they were recorded, OGBench's loader passes over goals.
     """
-    terminals = np.zeros(len(recording.observations), bool)
-    terminals[np.cumsum(recording.lengths) - 1] = True
-    arrays = {"observations": recording.observations, "actions": recording.actions, "terminals": terminals}
+    arrays = {"observations": recording.observations, "actions": recording.actions}
+    arrays["terminals"] = _last_rows(recording)
     goals = {} if recording.goals is None else {"goals": recording.goals}
     write_npz(path, arrays | goals | dict(recording.simulation))
 
@@ -71,9 +70,20 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """The file appears only when it is complete."""
     content = BytesIO()
     np.savez_compressed(content, **arrays)  # pyright: ignore[reportArgumentType]
+    _write(path, content)
+
+
+def _write(path: Path, content: BytesIO) -> None:
     with in_new_place(path, len(content.getbuffer())) as partial:
         partial.write_bytes(content.getbuffer())
         os.replace(partial, path)
+
+
+def _last_rows(recording: Recording) -> np.ndarray:
+    """[rows] bool: True in the last row of each episode."""
+    last = np.zeros(len(recording.observations), bool)
+    last[np.cumsum(recording.lengths) - 1] = True
+    return last
 
 
 def write_d4rl(
@@ -86,8 +96,7 @@ def write_d4rl(
     the last row of each episode. What puts a simulator where it was is there as infos/qpos and so on.
     """
     rows = len(recording.observations)
-    timeouts = np.zeros(rows, bool)
-    timeouts[np.cumsum(recording.lengths) - 1] = True
+    timeouts = _last_rows(recording)
     arrays = {"observations": recording.observations, "actions": recording.actions}
     if recording.goals is not None:
         arrays["infos/goal"] = recording.goals
@@ -98,9 +107,7 @@ def write_d4rl(
     with h5py.File(content, "w") as file:
         for key, array in arrays.items():
             file.create_dataset(key, data=array)
-    with in_new_place(path, len(content.getbuffer())) as partial:
-        partial.write_bytes(content.getbuffer())
-        os.replace(partial, path)
+    _write(path, content)
 
 
 def write_minari(

@@ -40,6 +40,8 @@ from guider.learning.problem import Problem
 from guider.learning.samplers import CriticBatch, sample_critic
 from guider.learning.training import Metrics, Stage
 from guider.learning.windows import Data
+from guider.methods.flat import acts_by, initial_acting_state
+from guider.methods.goal_value import state_inputs
 from guider.methods.method import Method
 from guider.methods.presets import MANIPULATION, fast
 from guider.methods.view import Scale, ViewConfig
@@ -120,11 +122,6 @@ def init(config: CriticGuidedConfig, spaces: Spaces, scale: Scale, key: jax.Arra
     return CriticGuidedState(scale, PolicyState(params, params.critic, adam_init(params)))
 
 
-def state_inputs(scale: Scale, observation: jax.Array, achieved: jax.Array) -> jax.Array:
-    """How networks see a state: scaled, [..., inputs]."""
-    return jnp.concatenate([scale.state(observation), scale.waves(achieved)], axis=-1)
-
-
 def label(config: CriticGuidedConfig, scale: Scale, batch: CriticBatch, goal: jax.Array) -> Steps:
     """The batch as networks see it, towards one of its goals. r(s, g) is 0 where s meets g and -1 elsewhere."""
     problem = config.problem
@@ -191,16 +188,6 @@ def stages(config: CriticGuidedConfig) -> tuple[Stage, ...]:
         return PolicyState(params, trail(old.target, params.critic, config.target_rate), optimiser), metrics
 
     return (Stage("policy", "policy", config.updates, update),)
-
-
-def initial_acting_state(config: CriticGuidedConfig, goal_dim: int, batch_size: int) -> tuple[()]:
-    """Nothing is remembered between steps."""
-    return ()
-
-
-def acts_by(config: CriticGuidedConfig) -> str:
-    """How it chooses what it does."""
-    return "most likely action towards the final goal"
 
 
 def act(

@@ -126,12 +126,12 @@ def stages(config: FlatConfig) -> tuple[Stage, ...]:
     return (Stage("policy", "policy", config.updates, update),)
 
 
-def initial_acting_state(config: FlatConfig, goal_dim: int, batch_size: int) -> tuple[()]:
+def initial_acting_state(config: Any, goal_dim: int, batch_size: int) -> tuple[()]:
     """Nothing is remembered between steps."""
     return ()
 
 
-def acts_by(config: FlatConfig) -> str:
+def acts_by(config: Any) -> str:
     """How it chooses what it does."""
     return "most likely action towards the final goal"
 

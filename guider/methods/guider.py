@@ -223,10 +223,6 @@ def _propose_latent(config: GuiderConfig, state: GuiderState, achieved: jax.Arra
     return subgoal_policy.best(state.high.params, seen, latents)
 
 
-def _within_steps(config: GuiderConfig) -> float:
-    return config.routes.horizon * config.problem.period_steps
-
-
 def propose_subgoal(
     config: GuiderConfig, state: GuiderState, achieved: jax.Array, goal: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -234,7 +230,9 @@ def propose_subgoal(
     the next place of the routes; the final goal where `final_goal_substitution` says so."""
     parts, reach_radius, latents = config.problem.goal_parts, config.problem.reach_radius, state.latent.params
     if config.planner == "routes":
-        subgoal, _ = routes.next_place(state.high, achieved, goal, _within_steps(config), config.problem)
+        subgoal, _ = routes.next_place(
+            state.high, achieved, goal, routes.within_steps(config.routes, config.problem), config.problem
+        )
         latent = latent_subgoals.encode(config.latent, latents, state.scale, achieved, subgoal).mean
     else:
         latent = _propose_latent(config, state, achieved, goal)
@@ -293,7 +291,9 @@ def _propose(
     """Worth is the critic's value of the subgoal's latent, or minus the steps that the routes count."""
     subgoal, latent = propose_subgoal(config, state, achieved, goal)
     if config.planner == "routes":
-        return subgoal, -routes.next_place(state.high, achieved, goal, _within_steps(config), config.problem)[1]
+        return subgoal, -routes.next_place(
+            state.high, achieved, goal, routes.within_steps(config.routes, config.problem), config.problem
+        )[1]
     seen = subgoal_policy.inputs(state.scale, achieved, goal)
     return subgoal, subgoal_policy.values(state.high.params, seen, latent)
 
@@ -303,7 +303,7 @@ def _dead_end(
 ) -> tuple[jax.Array, jax.Array] | None:
     if config.planner != "routes":
         return None
-    way = routes.way(state.high, achieved, goal, _within_steps(config), config.problem)
+    way = routes.way(state.high, achieved, goal, routes.within_steps(config.routes, config.problem), config.problem)
     return ~way.arrives, state.high.places[way.there]
 
 

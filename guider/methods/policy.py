@@ -143,10 +143,12 @@ class Agent:
 
     def _tell_of_a_dead_end(self, observation: np.ndarray, goal: np.ndarray) -> None:
         """Warn, once for a goal, where no way leads to it."""
-        subgoals = find_method(self.policy.method).subgoals
-        if subgoals is None or subgoals.dead_end is None or np.array_equal(goal, self._aim):
+        if np.array_equal(goal, self._aim):
             return
         self._aim = goal
+        subgoals = find_method(self.policy.method).subgoals
+        if subgoals is None or subgoals.dead_end is None:
+            return
         here = observation[list(self.policy.goal_indices)]
         found = subgoals.dead_end(self.policy.config, self.policy.state, jnp.asarray(here[None]), goal[None])
         if found is not None and bool(found[0][0]):

@@ -49,8 +49,7 @@ def routed(method: Method) -> Method:
         reset_mask: jax.Array,
     ) -> tuple[jax.Array, Any]:
         problem, achieved = config.problem, observation[..., jnp.asarray(goal_indices)]
-        within_steps = SETTINGS.horizon * problem.period_steps
-        place, _ = routes.next_place(state.routes, achieved, goal, within_steps, problem)
+        place, _ = routes.next_place(state.routes, achieved, goal, routes.within_steps(SETTINGS, problem), problem)
         near = largest_distance(achieved, goal, problem.goal_parts) <= problem.reach_radius
         place = jnp.where(near[..., None], goal, place)
         return method.act(config, state, goal_indices, observation, place, acting, reset_mask)

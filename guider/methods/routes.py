@@ -42,6 +42,11 @@ class RoutesConfig:
         check_fraction(self, "horizon")
 
 
+def within_steps(config: RoutesConfig, problem: Problem) -> float:
+    """Environment steps that a subgoal's edge may take."""
+    return config.horizon * problem.period_steps
+
+
 class Routes(NamedTuple):
     """K = config.places of them; those that were not needed are infinitely far from everything.
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from guider.data.episodes import Episodes
 from guider.goals import largest_distance
-from guider.methods.routes import Routes, next_place
+from guider.methods.routes import Routes, next_place, within_steps
 from guider.plots import canvas
 from guider.tasks.mazes import Maze
 from guider.tasks.types import Task
@@ -24,13 +24,13 @@ def routes_in_maze(
     """Places, coloured by the steps that are left to the goal, the edges that a subgoal may lie along, and the chain of
     subgoals from one to the other of `ends` [2, 2] if each is reached."""
     start, goal = ends
-    within_steps = config.routes.horizon * config.problem.period_steps
+    longest = within_steps(config.routes, config.problem)
     known = np.flatnonzero(np.isfinite(np.asarray(routes.places)).all(axis=1))
     places = np.asarray(routes.places)[known]
     edges = np.asarray(routes.edges)[np.ix_(known, known)]
     there = int(np.asarray(largest_distance(places, goal, config.problem.goal_parts)).argmin())
     left = np.asarray(routes.steps)[known, known[there]]
-    chain, steps = way(routes, start, goal, within_steps, config)
+    chain, steps = way(routes, start, goal, longest, config)
 
     width, height = canvas.panel_size(maze, 9.0)
     arrives = "" if np.array_equal(chain[-1], goal) else ", to the nearest place that a way leads to"
@@ -40,7 +40,7 @@ def routes_in_maze(
     )
     axes = figure.subplots()
     canvas.ground(axes, maze, logged)
-    drawn = np.argwhere((edges > 0) & (edges <= within_steps))
+    drawn = np.argwhere((edges > 0) & (edges <= longest))
     lines: Any = places[drawn]
     axes.add_collection(LineCollection(lines, colors=canvas.BLUE, linewidths=0.3, alpha=0.15, zorder=3))
     unreached = np.isinf(left)
@@ -57,13 +57,11 @@ def routes_in_maze(
     return figure
 
 
-def way(
-    routes: Routes, start: np.ndarray, goal: np.ndarray, within_steps: float, config: Any
-) -> tuple[np.ndarray, float]:
+def way(routes: Routes, start: np.ndarray, goal: np.ndarray, longest: float, config: Any) -> tuple[np.ndarray, float]:
     """(subgoals [n, G] in order, each chosen where the one before lies, steps from the first to the last)."""
     at, total, chain = jnp.asarray(start, jnp.float32)[None], None, []
     while not chain or not np.array_equal(chain[-1], goal):
-        subgoal, left = next_place(routes, at, jnp.asarray(goal)[None], within_steps, config.problem)
+        subgoal, left = next_place(routes, at, jnp.asarray(goal)[None], longest, config.problem)
         total = float(left[0]) if total is None else total
         if any(np.array_equal(subgoal[0], earlier) for earlier in chain):
             break

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
 
 from guider.collect.ant_walker import walk
-from guider.collect.ogbench import Wander
+from guider.collect.ogbench import MazeKind, Wander
 from guider.errors import GuiderError
 from guider.support.physics import mujoco
 from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
@@ -28,8 +28,6 @@ from guider.tasks.types import Task, accept
 CELL_SIZE_M = 4.0
 NOISE_M = 1.0
 TELEPORT_RADII = 1.5
-
-Kind = Literal["navigate", "stitch", "explore"]
 
 
 class FiveGoals(gymnasium.Wrapper):
@@ -122,7 +120,7 @@ class Robot:
     expert: str = ""
 
 
-def _task(robot: Robot, maze: Maze, kind: Kind, horizon_steps: int) -> Task:
+def _task(robot: Robot, maze: Maze, kind: MazeKind, horizon_steps: int) -> Task:
     env_id = f"{robot.name}-{maze.name}-v0"
     environment = f"OGBench {env_id} in MuJoCo {mujoco.__version__}, 4 m cells"
     check_data = accept
@@ -156,7 +154,7 @@ def _task(robot: Robot, maze: Maze, kind: Kind, horizon_steps: int) -> Task:
     )
 
 
-def _amount(kind: Kind, maze: str) -> tuple[int, int]:
+def _amount(kind: MazeKind, maze: str) -> tuple[int, int]:
     """Episodes, and rows of each, in OGBench's sets."""
     if kind == "stitch":
         return 5_000, 201
@@ -195,7 +193,7 @@ _HUMANOID = Robot("humanoidmaze", "humanoidmaze", 69, 21, radius_m=0.5, period_s
 # With the first of the five goals, which is not D4RL's in the large maze.
 _MEDIUM, _GIANT, _TELEPORT = (make_maze(name, CELL_SIZE_M) for name in ("medium", "giant", "teleport"))
 _LARGE = replace(make_maze("large", CELL_SIZE_M), goal_cell=(7, 10))
-_KINDS: tuple[Kind, ...] = ("navigate", "stitch")
+_KINDS: tuple[MazeKind, ...] = ("navigate", "stitch")
 
 MAZE_TASKS = (
     *(

@@ -12,12 +12,12 @@ of no account in either. Success is OGBench's.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
 
-from guider.collect.ogbench import PlayAtTable
+from guider.collect.ogbench import PlayAtTable, TableKind
 from guider.goals import Parts
 from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
@@ -27,7 +27,6 @@ from guider.tasks.types import Task
 ARM_ENTRIES = 19
 """The state begins with joints and their speeds (12), the gripper's place (3), heading (2), opening and touch."""
 CUBE_ENTRIES, BUTTON_ENTRIES = 9, 4
-Kind = Literal["play", "noisy"]
 CENTRE_M = (0.425, 0.0, 0.0)
 UNITS_TO_METRE = 10.0
 CUBE_RADIUS_M, SLIDE_RADIUS_M = 0.04, 0.04
@@ -96,7 +95,7 @@ def scene_goal(table: Any) -> np.ndarray:
     return np.concatenate([cubes_goal(table), buttons_goal(table), opened])
 
 
-def _cube_task(name: str, cubes: int, kind: Kind, horizon_steps: int, episodes: int) -> Task:
+def _cube_task(name: str, cubes: int, kind: TableKind, horizon_steps: int, episodes: int) -> Task:
     first = [ARM_ENTRIES + CUBE_ENTRIES * cube for cube in range(cubes)]
     return _task(
         f"cube-{name}",
@@ -112,7 +111,7 @@ def _cube_task(name: str, cubes: int, kind: Kind, horizon_steps: int, episodes: 
     )
 
 
-def _puzzle_task(rows: int, columns: int, kind: Kind) -> Task:
+def _puzzle_task(rows: int, columns: int, kind: TableKind) -> Task:
     buttons = rows * columns
     return _task(
         f"puzzle-{rows}x{columns}",
@@ -129,7 +128,7 @@ def _puzzle_task(rows: int, columns: int, kind: Kind) -> Task:
     )
 
 
-def _scene_task(kind: Kind) -> Task:
+def _scene_task(kind: TableKind) -> Task:
     buttons = ARM_ENTRIES + CUBE_ENTRIES
     slides = buttons + 2 * BUTTON_ENTRIES
     slide_radii = tuple(SLIDE_RADIUS_M * units for units in (DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE))
@@ -151,7 +150,7 @@ def _scene_task(kind: Kind) -> Task:
 
 def _task(
     name: str,
-    kind: Kind,
+    kind: TableKind,
     summary: str,
     *,
     goal_indices: tuple[int, ...],
@@ -188,7 +187,7 @@ def _task(
     )
 
 
-_KINDS: tuple[Kind, ...] = ("play", "noisy")
+_KINDS: tuple[TableKind, ...] = ("play", "noisy")
 
 TABLE_TASKS = (
     *(

@@ -63,8 +63,8 @@ TABLE: Table = {
     ],
     "guider/data/write.py": [
         (
-            "terminals[np.cumsum(recording.lengths) - 1] = True",
-            "terminals[np.cumsum(recording.lengths)[:-1]] = True",
+            "last[np.cumsum(recording.lengths) - 1] = True",
+            "last[np.cumsum(recording.lengths)[:-1]] = True",
             "data/test_layouts.py",
         ),
         ("goals | dict(recording.simulation)", "goals", "collect/test_ogbench.py"),
