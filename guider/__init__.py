@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from guider.api import evaluate, export, inspect, load, report, resume, save_data, train
+    from guider.api import evaluate, export, film, inspect, load, report, resume, save_data, train
     from guider.data import load as load_data
     from guider.data.episodes import Episodes, make_episodes
     from guider.errors import GuiderError, GuiderWarning
@@ -22,6 +22,7 @@ __all__ = [
     "act",
     "evaluate",
     "export",
+    "film",
     "initial_state",
     "inspect",
     "load",
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(("evaluate", "export", "inspect", "load", "report", "resume", "save_data", "train"), "api"),
+    **dict.fromkeys(("evaluate", "export", "film", "inspect", "load", "report", "resume", "save_data", "train"), "api"),
     **dict.fromkeys(("Episodes", "make_episodes"), "data.episodes"),
     **dict.fromkeys(("GuiderError", "GuiderWarning"), "errors"),
     **dict.fromkeys(("Agent", "Policy", "act", "initial_state"), "methods.policy"),

@@ -1,4 +1,4 @@
-"""What the command line does, as Python functions: inspect, train, resume, load, evaluate, plot, export."""
+"""What the command line does, as Python functions: inspect, train, resume, load, evaluate, plot, film, export."""
 
 from __future__ import annotations
 
@@ -252,6 +252,32 @@ def plot(
     episodes = same_data(opened, data)
     chosen = _seed_index(opened, seed)
     return draw_run(opened, find_task(spec.task) if spec.task else None, episodes, spec.seeds[chosen], first_seed)
+
+
+def film(
+    run: str | Path | Run,
+    path: str | Path,
+    *,
+    seed: int | None = None,
+    episodes: int = 1,
+    first_seed: int = 0,
+    camera: str | None = None,
+    size: tuple[int, int] = (480, 360),
+    on_steps: Callable[[int, int], None] = lambda done, total: None,
+) -> list[bool]:
+    """Film a trained policy in its task's simulator, and return which episodes met their goals.
+
+    path: a new file, .gif or .mp4; seed: which trained seed's policy, default the first; first_seed: of the episodes;
+    camera: one of the simulation's, by name; size: width and height of a frame, pixels. See guider.plots.film.
+    """
+    from guider.plots.film import Look
+    from guider.plots.film import film as shoot
+
+    opened = runs.as_run(run)
+    if opened.spec.task is None:
+        raise GuiderError(f"{opened.directory} was trained on your own data, and there is no simulator to film")
+    policy, look = opened.policies()[_seed_index(opened, seed)], Look(camera, *size)
+    return shoot(policy, find_task(opened.spec.task), user_path(path), episodes, first_seed, look, on_steps)
 
 
 def report(

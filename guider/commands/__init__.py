@@ -9,6 +9,7 @@ from guider.commands.compare import compare
 from guider.commands.data import data
 from guider.commands.evaluate import evaluate
 from guider.commands.export import export
+from guider.commands.film import film
 from guider.commands.info import info
 from guider.commands.plot import plot
 from guider.commands.report import report
@@ -22,6 +23,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "evaluate": evaluate,
     "plot": plot,
     "report": report,
+    "film": film,
     "export": export,
     "tasks": tasks,
     "data": data,

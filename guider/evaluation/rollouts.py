@@ -11,7 +11,7 @@ import numpy as np
 from guider.goals import part_distances
 from guider.methods import find_method
 from guider.methods.policy import Policy, compiled_act, initial_state
-from guider.tasks.types import Task
+from guider.tasks.types import Task, VectorEnv
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,15 @@ class Rollouts:
     traces: tuple[Trace, ...]
 
 
+Watch = Callable[[VectorEnv, np.ndarray, np.ndarray, np.ndarray, bool], None]
+"""watch(env, achieved, subgoals, goals, over), each [copies, G]: called before each step, and once it is over with the
+last subgoals."""
+
+
+def _look_away(env: VectorEnv, achieved: np.ndarray, subgoals: np.ndarray, goals: np.ndarray, over: bool) -> None:
+    """Nobody watches."""
+
+
 def rollout(
     policy: Policy,
     task: Task,
@@ -46,6 +55,7 @@ def rollout(
     first_seed: int,
     *,
     on_steps: Callable[[int, int], None] = lambda done, total: None,
+    watch: Watch = _look_away,
 ) -> Rollouts:
     """Run `episodes` episodes, episode e from seed first_seed + e.
 
@@ -54,7 +64,7 @@ def rollout(
 
     A goal is met where each of its parts is within task.radius, or a radius of its own, after a step; task.score says
     what that is worth.
-    on_steps(done, total) reports progress.
+    on_steps(done, total) reports progress; watch sees the copies as they go.
     """
     copies = min(episodes, task.copies)
     env = task.make_env(copies)
@@ -70,6 +80,7 @@ def rollout(
                 lambda t, f=first: on_steps(
                     f * task.horizon_steps // copies + t, -(-episodes // copies) * task.horizon_steps
                 ),
+                watch,
             )
             batches.append(batch)
     finally:
@@ -82,7 +93,7 @@ def rollout(
     )
 
 
-def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
+def _rollout_batch(policy, task, env, seeds, on_step, watch) -> Rollouts:
     goal_indices = list(task.goal_indices)
     observation, goal = env.reset(seeds)
     device_goal = jnp.asarray(goal)
@@ -100,6 +111,7 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
         actions, acting = compiled_act(policy, observation, device_goal, acting, reset_mask)
         seen = (observation[:, goal_indices], *_pursued(policy, acting, goal, reset_mask))
         history.append([np.array(part) for part in seen])
+        watch(env, history[-1][0], history[-1][1], goal, False)
         observation = env.step(np.asarray(actions), active)
         distances = part_distances(observation[:, goal_indices], goal, task.goal_parts)
         met = active[:, None] & (distances <= radii)
@@ -113,6 +125,7 @@ def _rollout_batch(policy, task, env, seeds, on_step) -> Rollouts:
         on_step(step + 1)
         if not active.any():
             break
+    watch(env, observation[:, goal_indices], history[-1][1], goal, True)
     success = np.all(parts_met, axis=1) if task.score == "subtasks" else np.asarray(steps_met > 0)
     score = {"success": 100.0 * success, "return": 1.0 * steps_met, "subtasks": 100.0 * parts_met.mean(axis=1)}
     lengths = np.full(env.count, task.horizon_steps) if task.score == "return" else steps

@@ -1,4 +1,4 @@
-"""MuJoCo, imported even where it has no renderer: nothing here draws with it."""
+"""MuJoCo, imported even where it has no renderer: nothing but films is drawn with it."""
 
 from __future__ import annotations
 

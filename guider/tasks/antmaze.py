@@ -23,7 +23,7 @@ from guider.collect.waypoints import Recipe, record
 from guider.errors import GuiderError
 from guider.support.files import user_path
 from guider.support.physics import mujoco
-from guider.tasks.mazes import Maze, make_maze, read_maze
+from guider.tasks.mazes import Maze, floor_places, make_maze, read_maze
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Collector, Task, VectorEnv
@@ -212,6 +212,7 @@ def _task(
         check_data=partial(check_replay, partial(ant_model, maze), FRAME_SKIP, environment),
         collector=_collector(recipe(maze)) if recipe else None,
         maze=maze,
+        places=floor_places,
         fallen=on_its_back,
         paper_score=paper_score,
     )

@@ -11,6 +11,8 @@ from __future__ import annotations
 from functools import partial
 from importlib.metadata import version
 
+import numpy as np
+
 from guider.collect.fetch import EPISODE_STEPS, Recipe, record
 from guider.collect.fetch_experts import Expert, pick, push, reach, slide
 from guider.data.store import Recording
@@ -65,6 +67,7 @@ def _task(
         make_env=partial(make_env, env_id),
         copies=20,  # 0.1 s to build, each
         collector=Collector(partial(_record, recipe), episodes * (EPISODE_STEPS + 1), actors[data]),
+        places=np.atleast_2d,
         paper_score=paper_score,
     )
 

@@ -9,7 +9,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from guider.errors import GuiderError
 from guider.tasks.simulation import available_cores
+from guider.tasks.types import Scene
 
 Reading = Callable[[Any], tuple[np.ndarray, np.ndarray]]
 """An environment's observation -> (state [S], goal [G])."""
@@ -58,6 +60,14 @@ class GymVectorEnv:
 
         list(self._pool.map(step_some, np.array_split(np.flatnonzero(active), self._threads)))
         return self._states.copy()
+
+    def scene(self, copy: int) -> Scene:
+        """What there is to see of a copy, see Visible."""
+        env: Any = self._envs[copy].unwrapped
+        if not (hasattr(env, "model") and hasattr(env, "data")):
+            raise GuiderError(f"{type(env).__name__} is no MuJoCo simulation, and only those can be filmed")
+        renderer = getattr(getattr(env, "robot_env", env), "mujoco_renderer", None)
+        return Scene(env.model, env.data, getattr(renderer, "default_cam_config", None) or {})
 
     def close(self) -> None:
         """See VectorEnv."""

@@ -24,7 +24,7 @@ from guider.errors import GuiderError
 from guider.support.physics import mujoco
 from guider.tasks.goal_measure import Met, environments_rule, first_disagreement, radius_of
 from guider.tasks.gym_env import GymVectorEnv, Reading, read_goal_observation
-from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.mazes import Maze, floor_places, make_maze
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task
 
@@ -228,6 +228,7 @@ def _antmaze(data: str, size: str, maze: Maze) -> Task:
         source="Gymnasium-Robotics",
         make_env=partial(GymVectorEnv, partial(make_antmaze, env_id, maze), read=read_with_achieved_goal),
         copies=COPIES,
+        places=floor_places,
         check_data=partial(check_replay, partial(_antmaze_model, env_id, maze), ANTMAZE_FRAME_SKIP, environment),
     )
 

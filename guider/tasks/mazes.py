@@ -242,3 +242,8 @@ def _place(cell: Cell | np.ndarray) -> str:
 def _neighbours(cell: Cell) -> tuple[Cell, Cell, Cell, Cell]:
     row, column = cell
     return (row, column + 1), (row, column - 1), (row + 1, column), (row - 1, column)
+
+
+def floor_places(goal: np.ndarray) -> np.ndarray:
+    """[1, 3]: a goal (x, y) in a scene whose floor is at height 0."""
+    return np.append(goal, 0.0)[None]

@@ -20,7 +20,7 @@ from guider.support.physics import mujoco
 from guider.tasks.antmaze import FRAME_SKIP as ANT_FRAME_SKIP
 from guider.tasks.antmaze import ant_model, on_its_back
 from guider.tasks.gym_env import GymVectorEnv
-from guider.tasks.mazes import Maze, make_maze
+from guider.tasks.mazes import Maze, floor_places, make_maze
 from guider.tasks.ogbench_env import GOALS, Data, collector, make_unwrapped
 from guider.tasks.replay import check_replay
 from guider.tasks.types import Task, accept
@@ -150,6 +150,7 @@ def _task(robot: Robot, maze: Maze, kind: MazeKind, horizon_steps: int) -> Task:
         collector=made,
         check_data=check_data,
         maze=maze,
+        places=floor_places,
         fallen=robot.fallen,
     )
 

@@ -11,6 +11,7 @@ of no account in either. Success is OGBench's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -95,6 +96,11 @@ def scene_goal(table: Any) -> np.ndarray:
     return np.concatenate([cubes_goal(table), buttons_goal(table), opened])
 
 
+def cube_places(goal: np.ndarray) -> np.ndarray:
+    """[cubes, 3]: where in the scene, in metres, a goal [3 * cubes] wants cubes."""
+    return goal.reshape(-1, 3) / UNITS_TO_METRE + CENTRE_M
+
+
 def _cube_task(name: str, cubes: int, kind: TableKind, horizon_steps: int, episodes: int) -> Task:
     first = [ARM_ENTRIES + CUBE_ENTRIES * cube for cube in range(cubes)]
     return _task(
@@ -106,6 +112,7 @@ def _cube_task(name: str, cubes: int, kind: TableKind, horizon_steps: int, episo
         radius=UNITS_TO_METRE * CUBE_RADIUS_M,
         state_dim=ARM_ENTRIES + CUBE_ENTRIES * cubes,
         goal=cubes_goal,
+        places=cube_places,
         horizon_steps=horizon_steps,
         data=Data(PlayAtTable(kind, 0.1 if kind == "noisy" else 0.0), episodes, 1_001),
     )
@@ -159,6 +166,7 @@ def _task(
     part_radii: tuple[float, ...] = (),
     state_dim: int,
     goal: Any,
+    places: Callable[[np.ndarray], np.ndarray] | None = None,
     horizon_steps: int,
     data: Data,
     period_steps: int = 25,
@@ -184,6 +192,7 @@ def _task(
         goals=GOALS,
         copies=10,  # a second to build, each
         collector=collector(make_table, data, f"OGBench's {kind} oracles"),
+        places=places,
     )
 
 

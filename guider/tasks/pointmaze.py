@@ -16,7 +16,7 @@ import numpy as np
 from guider.collect.waypoints import Recipe, record
 from guider.support.files import user_path
 from guider.support.physics import mujoco
-from guider.tasks.mazes import Cell, Maze, make_maze, read_maze
+from guider.tasks.mazes import Cell, Maze, floor_places, make_maze, read_maze
 from guider.tasks.replay import check_replay
 from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Collector, Task, VectorEnv
@@ -148,6 +148,7 @@ def _task(name: str, maze: Maze) -> Task:
         collector=Collector(partial(record, recipe), 200_000, "noisy controller between random cells"),
         check_data=partial(check_replay, partial(point_model, maze), FRAME_SKIP, environment),
         maze=maze,
+        places=floor_places,
     )
 
 

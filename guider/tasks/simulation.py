@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from guider.support.physics import mujoco
+from guider.tasks.types import Scene
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,13 @@ class MujocoVectorEnv:
         if len(rows) > 0:
             self._states[rows] = self._advance(self._states[rows], np.asarray(actions, float)[rows])
         return self._observations()
+
+    def scene(self, copy: int) -> Scene:
+        """What there is to see of a copy, see Visible."""
+        data = mujoco.MjData(self._model)
+        data.qpos[:], data.qvel[:] = np.split(self._states[copy, 1:], [self._model.nq])
+        mujoco.mj_forward(self._model, data)
+        return Scene(self._model, data, {})
 
     def close(self) -> None:
         """Release threads and simulators."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -51,6 +51,25 @@ class VectorEnv(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What there is to see of one copy. model, data: MuJoCo's, the latter as the copy stands now; camera: how its
+    environment looks at it, as attributes of a free camera (lookat, distance, azimuth, elevation), where it says so."""
+
+    model: Any
+    data: Any
+    camera: dict[str, Any]
+
+
+@runtime_checkable
+class Visible(Protocol):
+    """A VectorEnv that can be filmed."""
+
+    def scene(self, copy: int) -> Scene:
+        """What there is to see of a copy. Raises GuiderError where it is no MuJoCo simulation."""
+        ...
+
+
 @dataclass(frozen=True)
 class Collector:
     """How data for a task is made on this machine.
@@ -91,6 +110,7 @@ class Task:
     check_data:    raises GuiderError where episodes of the right shape were recorded on another robot
     maze:          walls for pictures; None outside mazes
     fallen:        whether a robot in a state [S] lies on its back; None for those that cannot
+    places:        goals [G] -> [things, 3], where in the scene they are, metres; None where they are no places
     paper_score:   the paper's Guider score (Table 1), None for tasks that are not in it
     """
 
@@ -116,4 +136,5 @@ class Task:
     check_data: Callable[[Episodes], None] = accept
     maze: Maze | None = None
     fallen: Callable[[np.ndarray], bool] | None = None
+    places: Callable[[np.ndarray], np.ndarray] | None = None
     paper_score: float | None = None
