@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +34,9 @@ from guider.methods.guider import GuiderConfig, GuiderState, guider_config
 from guider.methods.view import prepare
 from guider.support.config import flatten, override, to_dict
 from guider.tasks import Task
+
+MODEL_UPDATES, imagined.UPDATES = imagined.UPDATES, 20
+"""Held-out scores learn a model of the robot, which takes a while; what it is worth, its own tests say."""
 
 pytest_plugins = ["recordings", "served", "small_runs"]
 """Where fixtures stand that several files use."""
@@ -114,20 +118,20 @@ def fast_config() -> GuiderConfig:
     return tiny(guider_config("fast", Problem(radius=0.5, reach_radius=1.0, period_steps=5)))
 
 
-@pytest.fixture(autouse=True)
-def few_updates(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Held-out scores learn a model of the robot, which takes a while; what it is worth, its own tests say."""
-    if "optimised" not in request.fixturenames:
-        monkeypatch.setattr(imagined, "UPDATES", 20)
-
-
-@pytest.fixture
-def optimised() -> Iterator[None]:
+@contextmanager
+def compiled_for_long() -> Iterator[None]:
     """Within, programs are compiled to run for a while."""
     before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", False)
     yield
     jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
+def optimised() -> Iterator[None]:
+    """See `compiled_for_long`."""
+    with compiled_for_long():
+        yield
 
 
 def roll(task: Task, seeds: np.ndarray, steps: int) -> tuple[Episodes, np.ndarray]:

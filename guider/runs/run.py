@@ -17,6 +17,7 @@ import platform
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -212,6 +213,7 @@ def initialiser(spec: RunSpec, scale: Scale) -> Callable[[jax.Array], Any]:
     return lambda key: find_method(spec.method).init(spec.config, spec.spaces, scale, key)
 
 
+@lru_cache(maxsize=8)
 def _state_template(spec: RunSpec) -> Any:
     init = initialiser(spec, unit_scale(spec.config.view, spec.spaces))
     return jax.eval_shape(jax.vmap(init), seed_keys(spec.seeds))

@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import MODEL_UPDATES, compiled_for_long
 
 from guider.data.episodes import Episodes, make_episodes
 from guider.evaluation import imagined
@@ -35,9 +36,11 @@ def turntable(episodes: int = 60, steps: int = 40, seed: int = 0) -> Episodes:
     return make_episodes(np.array(states), np.array(actions), [steps] * episodes, GOAL, action_low=-1, action_high=1)
 
 
-@pytest.fixture
-def model(optimised) -> imagined.Model:
-    return imagined.fit_model(turntable())
+@pytest.fixture(scope="module")
+def model() -> imagined.Model:
+    with compiled_for_long(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imagined, "UPDATES", MODEL_UPDATES)
+        return imagined.fit_model(turntable())
 
 
 def test_the_model_moves_as_the_robot_did(model):
