@@ -29,7 +29,7 @@ _OTHER_COLUMN = re.compile(
     re.IGNORECASE,
 )
 _MOST_CHOICES = 32
-_TABLES, _FILES = ("CSV", "parquet", "npy"), ("HDF5", "npz")
+_TABLES, _FILES = ("CSV", "parquet", "npy", "MCAP"), ("HDF5", "npz")
 
 
 @dataclass(frozen=True)

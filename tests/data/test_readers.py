@@ -311,13 +311,13 @@ def test_discrete_actions_and_pictures(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("a.mcap", "a ROS recording.*as CSV"),
-        ("b.db3", "a ROS 2 recording.*as CSV"),
+        ("a.bag", "a ROS 1 recording.*write it as MCAP"),
+        ("b.db3", "a ROS 2 recording.*write it as MCAP"),
         ("set-train.tfrecord-00000-of-00001", "TFRecord.*npz"),
     ],
 )
 def test_recordings_that_take_another_reader(tmp_path, name, message):
-    (tmp_path / name).write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    (tmp_path / name).write_bytes(b"#ROSBAG V2.0" + bytes(50))
     for source in (tmp_path, tmp_path / name):
         with pytest.raises(GuiderError, match=message) as error:
             load(source, (0,))

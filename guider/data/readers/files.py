@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from guider.data.pickles import is_pickle
+from guider.data.readers.bags import is_mcap, read_mcap
 from guider.data.readers.groups import keeps_episodes_apart, read_groups
 from guider.data.readers.imitation import is_imitation, read_imitation
 from guider.data.readers.pickled import has_episode_axis, read_episode_axis, read_pickle
@@ -15,9 +16,8 @@ from guider.data.store import Store, open_store
 from guider.errors import GuiderError
 
 _HINTS = {
-    ".mcap": "a ROS recording",
     ".db3": "a ROS 2 recording",
-    ".bag": "a ROS recording",
+    ".bag": "a ROS 1 recording",
     ".tfrecord": "TFRecord",
     ".array_record": "ArrayRecord",
 }
@@ -30,6 +30,8 @@ def open_file(path: Path, format: str | None = None) -> Iterator[Store]:
         yield read_pickle(path)
     elif format is None and table_kind(path) is not None:
         yield read_table(path)
+    elif format is None and is_mcap(path):
+        yield read_mcap(path)
     else:
         refuse_others(path, [path])
         with open_store(path) as store:
@@ -56,7 +58,6 @@ def refuse_others(source: Path, files: Sequence[Path]) -> None:
             )
         if what is not None:
             raise GuiderError(
-                f"{source}: {what}, whose topics have clocks of their own; write state and command at one rate as "
-                "CSV (with PlotJuggler, or `pip install rosbags` and its AnyReader), a file for each episode, and name "
-                "their folder"
+                f"{source}: {what}, whose file does not say what its messages hold; write it as MCAP, which does, "
+                "and is read (`ros2 bag convert`, or `pip install rosbags` and `rosbags-convert`)"
             )

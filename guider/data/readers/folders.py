@@ -19,7 +19,7 @@ from guider.support.files import parse_json
 
 _EPISODE_FILES = {
     **{".csv": "CSV", ".tsv": "CSV", ".parquet": "parquet", ".npy": "npy"},
-    **{".npz": "npz", ".hdf5": "HDF5", ".h5": "HDF5", ".pkl": "pickle", ".pickle": "pickle"},
+    **{".npz": "npz", ".hdf5": "HDF5", ".h5": "HDF5", ".pkl": "pickle", ".pickle": "pickle", ".mcap": "MCAP"},
 }
 _MOST_FILES = 200_000
 

@@ -1,0 +1,137 @@
+"""ROS 2 recordings: topics with clocks of their own become rows, whoever speaks how often."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from mcap_ros2.writer import Writer
+
+from guider.cli import main
+from guider.data import load
+from guider.data.readers import bags
+from guider.errors import GuiderError
+
+JOINTS = "string[] name\nfloat64[] position\nfloat64[] velocity"
+TWIST = (
+    "geometry_msgs/Vector3 linear\nfloat64[9] covariance\n"
+    + "=" * 40
+    + "\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y"
+)
+NOTE = "string data"
+SCAN = "float32[] ranges"
+SECOND = 10**9
+
+
+def record(path: Path, messages: list[tuple[float, str, str, str, dict[str, Any]]], **options: Any) -> Path:
+    """messages: (seconds, topic, type, its definition, what it says), in the order in which they are written."""
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        schemas = {kind: writer.register_msgdef(kind, text) for kind, text in {m[2]: m[3] for m in messages}.items()}
+        for number, (seconds, topic, kind, _, content) in enumerate(messages):
+            nanoseconds = round(seconds * SECOND)
+            writer.write_message(topic, schemas[kind], content, nanoseconds, nanoseconds, number)
+        writer.finish()
+    return path
+
+
+def joints(seconds: float, shoulder: float, elbow: float) -> tuple[float, str, str, str, dict[str, Any]]:
+    content = {"name": ["shoulder", "elbow"], "position": [shoulder, elbow], "velocity": []}
+    return seconds, "/arm/joints", "sensor_msgs/JointState", JOINTS, content
+
+
+def twist(seconds: float, x: float) -> tuple[float, str, str, str, dict[str, Any]]:
+    content = {"linear": {"x": x, "y": 0.5}, "covariance": [0.0] * 9}
+    return seconds, "/cmd_vel", "geometry_msgs/Twist", TWIST, content
+
+
+def drive(path: Path, seconds: float = 3.0, **options: Any) -> Path:
+    """The joints speak 20 times a second from 0 on and move by 1 rad/s, the commands 4 times from 0.3 on."""
+    messages = [joints(k / 20, k / 20, -k / 20) for k in range(round(20 * seconds))]
+    messages += [twist(0.3 + k / 4, k / 10) for k in range(round(4 * (seconds - 0.3)))]
+    messages += [(0.05, "/scan", "sensor_msgs/LaserScan", SCAN, {"ranges": [1.0] * 100})]
+    messages += [(0.05, "/note", "std_msgs/String", NOTE, {"data": "begin"})]
+    return record(path, sorted(messages, key=lambda message: message[0]), **options)
+
+
+def test_rows_stand_at_the_slowest_clock_by_hand(tmp_path):
+    """Commands at 0.3 s, 0.55 s, ...: the joints' last word before was at 0.3 s (their 7th), 0.55 s (12th), ..."""
+    store = bags.read_mcap(drive(tmp_path / "a.mcap"))
+    assert store.kind == "MCAP" and set(store.keys) == {
+        "timestamp",
+        "arm/joints.position.shoulder",
+        "arm/joints.position.elbow",
+        "cmd_vel.linear.x",
+        "cmd_vel.linear.y",
+    }
+    times = 0.3 + 0.25 * np.arange(11)
+    np.testing.assert_allclose(store.vector("timestamp"), times)
+    np.testing.assert_allclose(store.vector("arm/joints.position.shoulder"), times, atol=1e-9)
+    np.testing.assert_allclose(store.vector("arm/joints.position.elbow"), -times, atol=1e-9)
+    np.testing.assert_allclose(store.vector("cmd_vel.linear.x"), np.arange(11) / 10)
+
+
+def say(**topics: list[float]) -> bags.Said:
+    """Topics that say the number of their message at these seconds."""
+    said: bags.Said = defaultdict(lambda: defaultdict(list))
+    for topic, seconds in topics.items():
+        said[topic]["x"] = [(round(time * SECOND), float(number)) for number, time in enumerate(seconds)]
+    return said
+
+
+def test_who_speaks_too_seldom_is_no_clock_and_who_speaks_too_late_is_left_out():
+    often, seldom = [0.1 * k for k in range(100)], [0.0, 4.0, 8.0]
+    found = bags.table(say(often=often, seldom=seldom, late=[9.0, 9.5]))
+    assert set(found) == {"timestamp", "often.x", "seldom.x"} and len(found["timestamp"]) == 100
+    assert list(found["seldom.x"][[0, 39, 40, 41, 99]]) == [0, 0, 1, 1, 2]
+    begun = bags.table(say(often=often, second=[2.05 + 0.1 * k for k in range(50)]))
+    assert begun["timestamp"][0] == pytest.approx(2.1), "rows begin once all have spoken"
+    lone = bags.table(say(seldom=seldom))
+    assert list(lone["seldom.x"]) == [0, 1, 2]
+
+
+def test_a_bag_and_a_folder_of_them_are_logs(tmp_path, capsys):
+    """The usual names serve: the command is the action, the rest the state; a folder's files are its episodes."""
+    for number in range(3):
+        drive(tmp_path / f"{number}.mcap", 3.0 + number)
+    found = load(tmp_path / "0.mcap", (0, 1))
+    assert found.state_names == ("arm/joints.position.shoulder", "arm/joints.position.elbow")
+    assert found.action_names == ("cmd_vel.linear.x", "cmd_vel.linear.y") and list(found.lengths) == [11]
+    several = load(tmp_path, goal=("shoulder",), action=("cmd_vel.linear.x",))
+    assert list(several.lengths) == [11, 15, 19] and several.goal_indices == (0,) and several.actions.shape == (45, 1)
+    assert main(["data", "inspect", str(tmp_path), "--goal", "shoulder", "elbow"]) == 0
+    assert "rate hz 4.0" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+def test_damage_is_a_line(tmp_path, compression):
+    whole = drive(tmp_path / "a.mcap", compression=compression).read_bytes()
+    rng, refused = np.random.default_rng(0), 0
+    for trial in range(60):
+        content = bytearray(whole)
+        for place in rng.integers(8, len(content), 1 + trial % 4):
+            content[place] ^= int(rng.integers(1, 256))
+        path = tmp_path / "b.mcap"
+        path.write_bytes(content if trial % 3 else content[: rng.integers(8, len(content))])
+        try:
+            bags.read_mcap(path)
+        except GuiderError as error:
+            refused += 1
+            assert str(path) in str(error) and "\n" not in str(error)
+    assert refused > 20
+
+
+def test_what_says_no_numbers_is_told(tmp_path):
+    path = record(tmp_path / "a.mcap", [(0.0, "/note", "std_msgs/String", NOTE, {"data": "hello"})])
+    with pytest.raises(GuiderError, match=r"no topic says numbers that can be read; its topics are /note"):
+        load(path, (0,))
+
+
+def test_memory_is_asked_for_first(tmp_path, monkeypatch):
+    monkeypatch.setattr("guider.data.safety.free_memory", lambda: 1000)
+    with pytest.raises(GuiderError, match="reading its messages takes"):
+        load(drive(tmp_path / "a.mcap"), (0,))
