@@ -313,7 +313,7 @@ def test_discrete_actions_and_pictures(tmp_path):
     [
         ("a.bag", "a ROS 1 recording.*write it as MCAP"),
         ("b.db3", "a ROS 2 recording.*write it as MCAP"),
-        ("set-train.tfrecord-00000-of-00001", "TFRecord.*npz"),
+        ("train.array_record", "ArrayRecord.*as an npz"),
     ],
 )
 def test_recordings_that_take_another_reader(tmp_path, name, message):
@@ -388,6 +388,7 @@ REAL = Path(__file__).parents[3] / "shared" / "realdata"
         ("robosuite_teleop/lift-panda-demo.hdf5", (412, 31), 1),
         ("hand_dapg/door-v0_demos.pickle", (6729, 39), 25),
         ("imitation_npz/pendulum_final.npz", (11_256, 3), 56),
+        ("rlds_bridge_octo", (250, 7), 25),
     ],
 )
 def test_logs_that_nobody_here_wrote(name, shape, episodes):

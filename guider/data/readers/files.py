@@ -11,16 +11,19 @@ from guider.data.readers.bags import is_mcap, read_mcap
 from guider.data.readers.groups import keeps_episodes_apart, read_groups
 from guider.data.readers.imitation import is_imitation, read_imitation
 from guider.data.readers.pickled import has_episode_axis, read_episode_axis, read_pickle
+from guider.data.readers.rlds import is_rlds, read_rlds
 from guider.data.readers.tables import read_table, table_kind
 from guider.data.store import Store, open_store
 from guider.errors import GuiderError
 
-_HINTS = {
-    ".db3": "a ROS 2 recording",
-    ".bag": "a ROS 1 recording",
-    ".tfrecord": "TFRecord",
-    ".array_record": "ArrayRecord",
+_NOT_READ = {
+    ".bag": "a ROS 1 recording; write it as MCAP (`pip install rosbags` and `rosbags-convert`), which is read",
+    ".db3": "a ROS 2 recording that does not say what its messages hold; write it as MCAP, which does, and is read "
+    "(`ros2 bag convert`, or `pip install rosbags` and `rosbags-convert`)",
+    ".array_record": "ArrayRecord, which takes a package of its own to read; write each episode's state and action "
+    "with it as an npz (observations, actions) into one folder, and name that",
 }
+"""What names end in: what that is, and what to do."""
 
 
 @contextmanager
@@ -32,6 +35,8 @@ def open_file(path: Path, format: str | None = None) -> Iterator[Store]:
         yield read_table(path)
     elif format is None and is_mcap(path):
         yield read_mcap(path)
+    elif format is None and is_rlds(path):
+        yield read_rlds(path, [path])
     else:
         refuse_others(path, [path])
         with open_store(path) as store:
@@ -50,14 +55,6 @@ def _apart(store: Store) -> Store:
 def refuse_others(source: Path, files: Sequence[Path]) -> None:
     """Raise GuiderError, saying what to run, where one of the files is a recording that is not read here."""
     for path in files:
-        what = next((words for ending, words in _HINTS.items() if ending in path.name.lower()), None)
-        if what in ("TFRecord", "ArrayRecord"):
-            raise GuiderError(
-                f"{source}: {what}, as of RLDS, which takes TensorFlow to read; write each episode's state and "
-                "action with it as an npz (observations, actions) into one folder, and name that"
-            )
-        if what is not None:
-            raise GuiderError(
-                f"{source}: {what}, whose file does not say what its messages hold; write it as MCAP, which does, "
-                "and is read (`ros2 bag convert`, or `pip install rosbags` and `rosbags-convert`)"
-            )
+        for ending, told in _NOT_READ.items():
+            if ending in path.name.lower():
+                raise GuiderError(f"{source}: {told}")

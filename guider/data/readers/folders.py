@@ -1,4 +1,4 @@
-"""Folders: LeRobot's, and those that hold a file for each episode."""
+"""Folders: LeRobot's, RLDS's, and those that hold a file for each episode."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from guider.data.readers.files import open_file, refuse_others
+from guider.data.readers.rlds import read_rlds
 from guider.data.readers.tables import read_parquet
 from guider.data.store import Store, stacked, store_of
 from guider.errors import GuiderError
@@ -29,6 +30,8 @@ def read_folder(folder: Path) -> Store:
     files = _files(folder)
     if (folder / "meta" / "info.json").is_file():
         return _lerobot(folder, [path for path in files if path.suffix == ".parquet"])
+    if records := [path for path in files if _is_record(path)]:
+        return read_rlds(folder, records)
     kinds = Counter(path.suffix.lower() for path in files if path.suffix.lower() in _EPISODE_FILES)
     if len(kinds) > 1:
         raise GuiderError(
@@ -108,11 +111,17 @@ def _files(folder: Path) -> list[Path]:
         found += [Path(inner, name) for name in names if not name.startswith(".")]
         if len(found) > _MOST_FILES:
             raise GuiderError(f"{folder}: holds more than {_MOST_FILES:,} files; name the folder of one recording")
-    if link := next((path for path in found if path.suffix.lower() in _EPISODE_FILES and path.is_symlink()), None):
+    read = (path for path in found if path.suffix.lower() in _EPISODE_FILES or _is_record(path))
+    if link := next((path for path in read if path.is_symlink()), None):
         raise GuiderError(
             f"{link} is a symbolic link, which is not followed; put a copy in its place (cp -rL FOLDER COPY)"
         )
     return sorted((path for path in found if path.is_file()), key=lambda path: _natural(str(path.relative_to(folder))))
+
+
+def _is_record(path: Path) -> bool:
+    """By its name, NAME-SPLIT.tfrecord-00000-of-00007."""
+    return ".tfrecord" in path.name
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
