@@ -6,11 +6,13 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from guider.data.describe import describe
 from guider.data.episodes import Episodes, make_episodes
+from guider.data.goal_spaces import is_computed, with_goals
 from guider.data.readers import open_source
 from guider.data.readers.kitchen import is_kitchen, read_kitchen, without_velocities
 from guider.data.recording import Wanted, recording_of
@@ -57,7 +59,7 @@ def load(
         a pickle      WGCSL's, or a list of dicts of arrays; it is read without unpickling
         minari:ID     a Minari dataset that is installed
     goal_indices: the state entries that make up the goal space; None for the source's own, if it names one
-    goal: the same by name, e.g. ("x", "y"); names may hold * and ?
+    goal: the same by name, e.g. ("x", "y"); names may hold * and ?; or what is computed, see guider.data.goal_spaces
     state, action: names of the columns that are the state and the action (see guider.data.columns); () for those
         usually called so
     format: one of FORMATS, where content does not tell: d4rl-kitchen is `terminals`, 9 actions and 30 numbers a row, or
@@ -76,6 +78,10 @@ def load(
         )
     if goal_indices is not None and goal:
         raise GuiderError("the goal space is named twice, by numbers and by names; leave one out")
+    if any(map(is_computed, as_names(goal))):
+        reading: dict[str, Any] = {"state": state, "action": action, "format": format, "episode_ends": episode_ends}
+        bounds: dict[str, Any] = {"action_low": action_low, "action_high": action_high}
+        return with_goals(load(source, **reading, **bounds, assumed_goal=(0,)), as_names(goal))
     wanted = Wanted(
         None if goal_indices is None else tuple(goal_indices),
         as_names(goal),

@@ -24,7 +24,8 @@ class Spaces:
 
     state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds;
     state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known;
-    state_names, action_names: of the entries, () where they have none.
+    state_names, action_names: of the entries, () where they have none; computed: what the last `computed_entries` of a
+    state are computed by, see guider.data.goal_spaces.
     """
 
     state_dim: int
@@ -35,6 +36,8 @@ class Spaces:
     state_high: tuple[float, ...] = ()
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
+    computed: tuple[str, ...] = ()
+    computed_entries: int = 0
 
     @property
     def goal_dim(self) -> int:
@@ -80,6 +83,7 @@ class Episodes:
     goal_space_from: who named the goal space: whoever asked for the data, its source, or nobody (it is assumed)
     state_names, action_names: of the entries, () where the source has no names
     times:        [rows] float64 seconds, for people to look at, or None
+    computed:     what the last `computed_entries` entries of a state were computed by, see guider.data.goal_spaces
     """
 
     observations: np.ndarray
@@ -95,6 +99,8 @@ class Episodes:
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
     times: np.ndarray | None = None
+    computed: tuple[str, ...] = ()
+    computed_entries: int = 0
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "goals"):
@@ -132,6 +138,8 @@ class Episodes:
             state_high=tuple(map(float, high)),
             state_names=self.state_names,
             action_names=self.action_names,
+            computed=self.computed,
+            computed_entries=self.computed_entries,
         )
 
     def fingerprint(self) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from guider.data.episodes import entry_name
 from guider.errors import GuiderError, names_like
 from guider.exporting.formats import FORMATS
 from guider.methods.policy import Policy
@@ -38,13 +39,14 @@ def about(spec: RunSpec, seed: int, policy: Policy) -> dict[str, Any]:
         "data": Path(spec.data).name,
         "fingerprint": spec.fingerprint,
         "method": spec.method,
-        "state_names": list(spec.spaces.state_names),
+        "state_names": list(spec.spaces.state_names[: policy.logged_dim]),
         "action_names": list(spec.spaces.action_names),
         "preset": spec.preset,
         "seed": seed,
-        "state_dim": policy.state_dim,
+        "state_dim": policy.logged_dim,
         "goal_dim": policy.goal_dim,
         "goal_indices": list(policy.goal_indices),
+        "goal_names": [entry_name(spec.spaces.state_names, index) for index in policy.goal_indices],
         "action_low": policy.action_low.tolist(),
         "action_high": policy.action_high.tolist(),
         "radius": problem.radius,

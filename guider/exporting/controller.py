@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from guider.data.goal_spaces import extended
 from guider.exporting.program import Program, read
 from guider.methods import find_method
 from guider.methods.policy import Policy, act, initial_state
@@ -27,14 +28,15 @@ def controller(policy: Policy) -> Program:
 
     def step(observation: jax.Array, goal: jax.Array, begins: jax.Array, *remembered: jax.Array) -> list[jax.Array]:
         acting = tree.unflatten([leaf[None] for leaf in remembered])
-        actions, acting = act(policy, observation[None], goal[None], acting, begins[None])
+        seen = extended(observation[None], policy.computed)
+        actions, acting = act(policy, seen, goal[None], acting, begins[None])
         results = [actions[0], *(leaf[0] for leaf in jax.tree.leaves(acting))]
         if method.subgoals is not None:
             results.append(method.subgoals.pursued(policy.config, acting)[0][0])
         return results
 
     inputs: dict[str, Any] = {
-        "observation": np.zeros(policy.state_dim, np.float32),
+        "observation": np.zeros(policy.logged_dim, np.float32),
         "goal": np.zeros(policy.goal_dim, np.float32),
         "begins": np.ones((), bool),
     }

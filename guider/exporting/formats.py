@@ -33,7 +33,7 @@ types = {{"tensor(float)": np.float32, "tensor(int32)": np.int32, "tensor(bool)"
 memory = {{given.name: np.zeros(given.shape, types[given.type])
           for given in session.get_inputs() if given.name.startswith("memory_")}}
 begins = True  # an episode does, or the goal is another one
-goal = np.zeros({goal_dim}, np.float32)  # where to go: state entries {goal_indices}
+goal = np.zeros({goal_dim}, np.float32)  # where to go: {goal}
 for step in range(10):
     observation = np.zeros({state_dim}, np.float32)  # what the robot sees
     given = {{"observation": observation, "goal": goal, "begins": np.array(begins), **memory}}
@@ -66,7 +66,9 @@ def write_onnx(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
     model = helper.make_model(graph, opset_imports=[opset], ir_version=_IR_VERSION, producer_name="guider")
     helper.set_model_props(model, {ABOUT: json.dumps(about)})
     onnx.checker.check_model(model, full_check=True)
-    example = _beside(path, f"{path.stem}_example.py", EXAMPLE.format(name=path.name, **about))
+    example = _beside(
+        path, f"{path.stem}_example.py", EXAMPLE.format(name=path.name, goal=", ".join(about["goal_names"]), **about)
+    )
     files.write_bytes(path, model.SerializeToString())
     return [path, example]
 

@@ -23,7 +23,8 @@ class LearningOptions(TypedDict, total=False):
     """Own data: the state entries that are the goal, e.g. 0 1 for x and y. Minari's goal observations name them
     themselves."""
     goal: Sequence[str]
-    """Own data: the same by name, e.g. x y, where the data names its columns; * and ? stand for any letters."""
+    """Own data: the same by name, e.g. x y, where the data names its columns; * and ? stand for any letters. Or what
+    is computed: angle:NAME, an angle in radians on its circle, and functions in the file that GUIDER_GOALS names."""
     state: Sequence[str]
     """The columns that are the state, by name, e.g. observation.state or left_arm_*; by default those usually called
     so."""

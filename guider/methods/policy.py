@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from guider.data.goal_spaces import extended
 from guider.errors import GuiderError, GuiderWarning
 from guider.methods import find_method
 
@@ -21,7 +22,7 @@ PyTree = Any
 @partial(
     jax.tree_util.register_dataclass,
     data_fields=["state", "action_low", "action_high", "state_low", "state_high"],
-    meta_fields=["method", "config", "goal_indices", "state_dim"],
+    meta_fields=["method", "config", "goal_indices", "state_dim", "computed", "computed_entries"],
 )
 @dataclass(frozen=True)
 class Policy:
@@ -29,6 +30,7 @@ class Policy:
 
     state: the method's trained state; action_low, action_high: [A] bounds of the actions it returns;
     goal_indices: entries of a state that form the goal space; state_dim: S;
+    computed: what the last `computed_entries` of those are computed by, see guider.data.goal_spaces;
     state_low, state_high: [S] what the networks may be shown of each state entry, None for anything (see `act`).
     """
 
@@ -41,6 +43,13 @@ class Policy:
     state_dim: int
     state_low: jax.Array | None = None
     state_high: jax.Array | None = None
+    computed: tuple[str, ...] = ()
+    computed_entries: int = 0
+
+    @property
+    def logged_dim(self) -> int:
+        """Entries of a state that a robot sees."""
+        return self.state_dim - self.computed_entries
 
     @property
     def action_dim(self) -> int:
@@ -91,7 +100,8 @@ compiled_act = jax.jit(act)
 class Agent:
     """A policy for one environment or robot, with the memory it needs between steps.
 
-    agent.reset() before each episode; agent.act(observation [S], goal [G]) -> action [A].
+    agent.reset() before each episode; agent.act(observation [S], goal [G]) -> action [A]. Of entries that are computed
+    (`Policy.computed`) an observation has none, a goal all: of an angle its cosine and sine.
     """
 
     def __init__(self, policy: Policy):
@@ -108,7 +118,8 @@ class Agent:
     def act(self, observation: ArrayLike, goal: ArrayLike) -> np.ndarray:
         """The action for this step. Raises GuiderError if shapes or values do not fit the policy. Warns where it knows
         of no way to the goal, and heads for the place nearest to it that one leads to."""
-        seen = _vector(observation, self.policy.state_dim, "observation")
+        seen = _vector(observation, self.policy.logged_dim, "observation")
+        seen = np.asarray(extended(seen, self.policy.computed), np.float32)
         aim = _vector(goal, self.policy.goal_dim, "goal")
         self._tell_of_what_is_far_off(seen, aim)
         self._tell_of_a_dead_end(seen, aim)

@@ -11,8 +11,8 @@ import numpy as np
 
 from guider import data as data_sources
 from guider.data import AS_FOUND, Reading
-from guider.data.columns import entries_called
 from guider.data.episodes import Episodes
+from guider.data.goal_spaces import with_goals
 from guider.data.suggestions import suggested_period
 from guider.errors import GuiderError
 from guider.learning.options import LearningOptions, said
@@ -124,7 +124,7 @@ def episodes_of(
     if reading != AS_FOUND:
         raise GuiderError("format, state, action and episode_ends say how to read a file; leave them out for Episodes")
     if goal:
-        goal_indices = entries_called(data.state_names, data.observations.shape[1], goal, data.source)
+        return with_goals(data, goal)
     return data if goal_indices is None else data.with_goal_space(goal_indices)
 
 

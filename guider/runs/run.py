@@ -36,8 +36,8 @@ from guider.runs import checkpoint
 from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 10
-EARLIER = (6, 7, 8, 9)
+FORMAT = 11
+EARLIER = (6, 7, 8, 9, 10)
 """Read too: settings that came later have defaults that are what was done before."""
 
 
@@ -134,6 +134,8 @@ def policies(spec: RunSpec, state: Any) -> list[Policy]:
             config=spec.config,
             goal_indices=spec.spaces.goal_indices,
             state_dim=spec.spaces.state_dim,
+            computed=spec.spaces.computed,
+            computed_entries=spec.spaces.computed_entries,
             state_low=shown_low,
             state_high=shown_high,
         )
@@ -174,7 +176,8 @@ def open_run(directory: str | Path) -> Run:
         settings = merged(to_dict(method.config_type()), settings)
         said = {name: values.pop(name) for name in ("format", "episode_ends") if name in values}
         values.setdefault("reading", to_dict(AS_FOUND) | said)
-        values["spaces"] = {"state_names": [], "action_names": []} | dict(values.get("spaces") or {})
+        later = {"state_names": [], "action_names": [], "computed": [], "computed_entries": 0}
+        values["spaces"] = later | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
     return Run(directory, spec)

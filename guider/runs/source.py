@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from guider.data.episodes import IN_MEMORY, Episodes
+from guider.data.goal_spaces import with_computed
 from guider.errors import GuiderError
 from guider.runs.asked import episodes_of
-from guider.runs.run import Run
+from guider.runs.run import Run, RunSpec
 from guider.support.files import user_path
 
 
@@ -18,7 +19,7 @@ def same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
         raise GuiderError(f"{run.directory} was trained on arrays in memory; give the same Episodes (data=episodes)")
     try:
         given = spec.data if data is None else data
-        episodes = episodes_of(given, spec.spaces.goal_indices, reading=spec.reading)
+        episodes = _read(given, spec)
     except GuiderError as error:
         if data is not None:
             raise
@@ -30,6 +31,15 @@ def same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
             f"({spec.data}, fingerprint {spec.fingerprint}); give that with --data"
         )
     return episodes
+
+
+def _read(given: str | Path | Episodes, spec: RunSpec) -> Episodes:
+    """With what the run computed of its states, unless that is there already."""
+    computed, indices = spec.spaces.computed, spec.spaces.goal_indices
+    if not computed:
+        return episodes_of(given, indices, reading=spec.reading)
+    episodes = episodes_of(given, None, reading=spec.reading, assumed_goal=(0,))
+    return with_computed(episodes, computed[len(episodes.computed) :]).with_goal_space(indices)
 
 
 def lasting(data: str | Path | Episodes | None, episodes: Episodes) -> str:

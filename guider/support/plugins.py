@@ -1,9 +1,9 @@
-"""Methods and tasks from outside the package.
+"""Methods, tasks and goals from outside the package.
 
-Of each kind, "methods" or "tasks", are known what the files offer that an environment variable names (GUIDER_METHODS,
-GUIDER_TASKS; several as in PATH), and the modules that installed packages offer as entry points of a group
-(`guider.methods`, `guider.tasks`). Each has a dictionary by name, METHODS or TASKS. No name makes code run: what a file
-of somebody else's asks for is found only where its user offered it.
+Of each kind are known what the files offer that an environment variable names (GUIDER_METHODS, GUIDER_TASKS,
+GUIDER_GOALS; several as in PATH), and the modules that installed packages offer as entry points of a group
+(`guider.methods`, `guider.tasks`, `guider.goals`). Each has a dictionary by name, METHODS, TASKS or GOALS. No name
+makes code run: what a file of somebody else's asks for is found only where its user offered it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from guider.errors import GuiderError, names_like
 
-Kind = Literal["methods", "tasks"]
+Kind = Literal["methods", "tasks", "goals"]
 
 
 def find(kind: Kind, name: str, ours: Mapping[str, Any], hint: str = "") -> Any:
@@ -31,7 +31,8 @@ def find(kind: Kind, name: str, ours: Mapping[str, Any], hint: str = "") -> Any:
     if name in own:
         return own[name]
     way = f"one of your own is known once GUIDER_{kind.upper()} names its file"
-    raise GuiderError(f"there is no {kind[:-1]} {name!r}; {names_like(name, own)}; {hint}{way}")
+    near = f"{names_like(name, own)}; " if own else ""
+    raise GuiderError(f"there is no {kind[:-1]} {name!r}; {near}{hint}{way}")
 
 
 def known(kind: Kind, ours: Mapping[str, Any]) -> dict[str, Any]:

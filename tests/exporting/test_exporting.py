@@ -29,7 +29,7 @@ from guider.methods.view import prepare
 from guider.support.config import override
 
 EPISODES = make_ragged((30, 40, 50))
-ABOUT = {"goal_dim": 2, "state_dim": 4, "goal_indices": [0, 1]}
+ABOUT = {"goal_dim": 2, "state_dim": 4, "goal_indices": [0, 1], "goal_names": ["x", "y"]}
 
 
 def policy_of(method: str, preset: Any = "fast", domain: str | None = "antmaze", **changes: Any) -> Policy:
