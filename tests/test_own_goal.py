@@ -12,9 +12,10 @@ import pytest
 import guider
 from guider.cli import main
 from guider.data.episodes import make_episodes
-from guider.data.goal_spaces import extended, with_goals
+from guider.data.goal_spaces import extended, goals_of, with_goals
 from guider.errors import GuiderError
 from guider.exporting import actor
+from guider.plots.report import training_command
 from guider.support.files import parse_json
 
 FILE = Path(__file__).parent.parent / "docs" / "own_goal.py"
@@ -39,7 +40,9 @@ def test_angles_are_on_their_circle_by_hand():
     assert logs.goal_indices == (1, 6, 7) and logs.state_names[6:] == ("cos shoulder", "sin shoulder")
     shoulder = arm().observations[:, 0]
     np.testing.assert_allclose(logs.achieved[:, 1:], np.stack([np.cos(shoulder), np.sin(shoulder)], 1), atol=1e-6)
-    assert logs.computed == ("angle:0",) and logs.computed_entries == 2 and logs.goal_space_from == "asked for"
+    assert logs.computed == ("angle:0",) and logs.computed_widths == (2,) and logs.goal_space_from == "asked for"
+    assert goals_of(logs.spaces) == ["1", "angle:0"]
+    assert goals_of(with_goals(arm(), ("angle:shoulder", "elbow", "w")).spaces) == ["angle:0", "1", "2"]
     several = with_goals(arm(), ("angle:*o*",))
     assert several.computed == ("angle:0", "angle:1") and several.goal_indices == (6, 7, 8, 9)
     assert with_goals(arm(()), ("angle:1",)).state_names == ()
@@ -87,6 +90,7 @@ def test_a_run_computes_its_goal_wherever_it_goes(own, tmp_path, monkeypatch):
 def test_episodes_in_memory_have_computed_goals_too(tmp_path):
     run = guider.train(data=arm(), goal=("angle:shoulder",), radius=0.2, out=tmp_path / "run", method="bc", settings=BC)
     assert run.spec.spaces.computed == ("angle:0",)
+    assert "--goal angle:0 --radius" in training_command(run.spec)
     for again in (arm(), with_goals(arm(), ("angle:shoulder",))):
         assert len(guider.evaluate(run, data=again)["per_seed"]) == 1
 

@@ -24,8 +24,8 @@ class Spaces:
 
     state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds;
     state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known;
-    state_names, action_names: of the entries, () where they have none; computed: what the last `computed_entries` of a
-    state are computed by, see guider.data.goal_spaces.
+    state_names, action_names: of the entries, () where they have none; computed: what the last entries of a state are
+    computed by, see guider.data.goal_spaces; computed_widths: how many each.
     """
 
     state_dim: int
@@ -37,7 +37,7 @@ class Spaces:
     state_names: tuple[str, ...] = ()
     action_names: tuple[str, ...] = ()
     computed: tuple[str, ...] = ()
-    computed_entries: int = 0
+    computed_widths: tuple[int, ...] = ()
 
     @property
     def goal_dim(self) -> int:
@@ -46,6 +46,11 @@ class Spaces:
     @property
     def action_dim(self) -> int:
         return len(self.action_low)
+
+    @property
+    def logged_dim(self) -> int:
+        """Entries of a state that are logged, not computed."""
+        return self.state_dim - sum(self.computed_widths)
 
 
 def entry_name(names: Sequence[str], index: int | np.integer, kind: str = "state") -> str:
@@ -83,7 +88,7 @@ class Episodes:
     goal_space_from: who named the goal space: whoever asked for the data, its source, or nobody (it is assumed)
     state_names, action_names: of the entries, () where the source has no names
     times:        [rows] float64 seconds, for people to look at, or None
-    computed:     what the last `computed_entries` entries of a state were computed by, see guider.data.goal_spaces
+    computed:     what the last entries of a state were computed by, see guider.data.goal_spaces, and how many each
     """
 
     observations: np.ndarray
@@ -100,7 +105,7 @@ class Episodes:
     action_names: tuple[str, ...] = ()
     times: np.ndarray | None = None
     computed: tuple[str, ...] = ()
-    computed_entries: int = 0
+    computed_widths: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "goals"):
@@ -117,6 +122,11 @@ class Episodes:
         """[rows] int32: for each row, the last row of its episode."""
         lengths = self.lengths
         return np.repeat(self.starts + lengths - 1, lengths).astype(np.int32)
+
+    @property
+    def logged(self) -> np.ndarray:
+        """[rows, logged]: states without what was computed of them."""
+        return self.observations[:, : self.observations.shape[1] - sum(self.computed_widths)]
 
     @property
     def achieved(self) -> np.ndarray:
@@ -139,7 +149,7 @@ class Episodes:
             state_names=self.state_names,
             action_names=self.action_names,
             computed=self.computed,
-            computed_entries=self.computed_entries,
+            computed_widths=self.computed_widths,
         )
 
     def fingerprint(self) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from guider.data.columns import entries_called
-from guider.data.episodes import Episodes
+from guider.data.episodes import Episodes, Spaces
 from guider.errors import GuiderError
 from guider.support import plugins
 
@@ -30,7 +30,7 @@ def is_computed(name: str) -> bool:
 def with_goals(episodes: Episodes, wanted: Sequence[str]) -> Episodes:
     """The episodes with the goal space that is wanted: patterns of entries' names, and names of what is computed, in
     their order. Raises GuiderError for a name that means nothing, and where a function fails."""
-    logged = episodes.observations.shape[1] - episodes.computed_entries
+    logged = episodes.logged.shape[1]
     names = episodes.state_names[:logged]
     indices: list[int] = []
 
@@ -50,7 +50,7 @@ def with_goals(episodes: Episodes, wanted: Sequence[str]) -> Episodes:
 
 def with_computed(episodes: Episodes, computed: Sequence[str]) -> Episodes:
     """The episodes with further state entries: those of `angle:NUMBER`, and of functions by name."""
-    logged = episodes.observations[:, : episodes.observations.shape[1] - episodes.computed_entries]
+    logged = episodes.logged
     for name in computed:
         try:
             columns = np.asarray(_values(name, logged), np.float32)
@@ -70,9 +70,17 @@ def with_computed(episodes: Episodes, computed: Sequence[str]) -> Episodes:
             observations=np.concatenate([episodes.observations, columns], axis=1),
             state_names=episodes.state_names and (*episodes.state_names, *_names(name, columns.shape[1], episodes)),
             computed=(*episodes.computed, name),
-            computed_entries=episodes.computed_entries + columns.shape[1],
+            computed_widths=(*episodes.computed_widths, columns.shape[1]),
         )
     return episodes
+
+
+def goals_of(spaces: Spaces) -> list[str]:
+    """What `with_goals` is to be asked for to give this goal space: entries by number, and what is computed."""
+    of_entry = [str(entry) for entry in range(spaces.logged_dim)]
+    for name, width in zip(spaces.computed, spaces.computed_widths, strict=True):
+        of_entry += [name] * width
+    return list(dict.fromkeys(of_entry[entry] for entry in spaces.goal_indices))
 
 
 def extended(states: Any, computed: Sequence[str]) -> Any:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from guider.data.episodes import Episodes, entry_name
+from guider.data.goal_spaces import goals_of
 from guider.errors import GuiderError
 from guider.evaluation.comparison import kept_score
 from guider.evaluation.imagined import fit_model, imagined_episodes
@@ -73,7 +74,12 @@ def training_command(spec: RunSpec) -> str:
         words += [f"--{name}", *value] if value else []
     words += ["--format", reading.format] if reading.format else []
     if spec.task is None:
-        words += ["--goal-indices", *spec.spaces.goal_indices, "--radius", problem.radius]
+        words += (
+            ["--goal", *goals_of(spec.spaces)]
+            if spec.spaces.computed
+            else ["--goal-indices", *spec.spaces.goal_indices]
+        )
+        words += ["--radius", problem.radius]
         words += ["--reach-radius", problem.reach_radius, "--period-steps", problem.period_steps]
         words += ["--held-out", spec.held_out]
     words += [

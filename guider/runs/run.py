@@ -135,7 +135,7 @@ def policies(spec: RunSpec, state: Any) -> list[Policy]:
             goal_indices=spec.spaces.goal_indices,
             state_dim=spec.spaces.state_dim,
             computed=spec.spaces.computed,
-            computed_entries=spec.spaces.computed_entries,
+            computed_entries=sum(spec.spaces.computed_widths),
             state_low=shown_low,
             state_high=shown_high,
         )
@@ -176,7 +176,7 @@ def open_run(directory: str | Path) -> Run:
         settings = merged(to_dict(method.config_type()), settings)
         said = {name: values.pop(name) for name in ("format", "episode_ends") if name in values}
         values.setdefault("reading", to_dict(AS_FOUND) | said)
-        later = {"state_names": [], "action_names": [], "computed": [], "computed_entries": 0}
+        later = {"state_names": [], "action_names": [], "computed": [], "computed_widths": []}
         values["spaces"] = later | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
