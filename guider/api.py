@@ -114,9 +114,13 @@ def train(
     return runs.start(directory, spec, facts, episodes, callback, pace, cache)
 
 
-def inspect(data: str | Path, *, task: str | None = None, **options: Unpack[LearningOptions]) -> dict[str, Any]:
+def inspect(
+    data: str | Path, *, task: str | None = None, report: str | Path | None = None, **options: Unpack[LearningOptions]
+) -> dict[str, Any]:
     """What logged data holds (see guider.data.describe) and, given a task or a radius, what `train` would make of it:
-    options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state."""
+    options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state.
+    report: a new file, for an HTML page of it."""
+    place = None if report is None else _new_file(report, "--report")
     asked = said(options)
     described_only = task is None and "radius" not in asked
     if described_only and ("reach_radius" in asked or "period_steps" in asked):
@@ -125,21 +129,36 @@ def inspect(data: str | Path, *, task: str | None = None, **options: Unpack[Lear
         check(task, None, options)
     episodes = find_data(task, data, options, assumed_goal=(0, 1))
     description = data_sources.describe(episodes)
-    if described_only:
-        return description
+    if not described_only:
+        description |= {"training": _data_use(task, episodes, options)}
+    if place is not None:
+        from guider.plots.inspection import inspection_page
+
+        files.write_text(place, inspection_page(episodes, description))
+    return description
+
+
+def _data_use(task: str | None, episodes: Episodes, options: LearningOptions) -> dict[str, Any]:
+    """What training would make of the data."""
+    asked = said(options)
     problem, config = settle(task, episodes, None, options)
     use = data_use(config.view, problem, episodes)
     refused = "" if use.windows else f"; {why_no_window(config.view, problem, episodes)}"
-    return description | {
-        "training": {
-            "method": asked["method"],
-            "preset": asked["preset"],
-            "radius": problem.radius,
-            "reach_radius": problem.reach_radius,
-            "period_steps": problem.period_steps,
-            "data_use": f"{use}{refused}",
-        }
+    return {
+        "method": asked["method"],
+        "preset": asked["preset"],
+        "radius": problem.radius,
+        "reach_radius": problem.reach_radius,
+        "period_steps": problem.period_steps,
+        "data_use": f"{use}{refused}",
     }
+
+
+def _new_file(path: str | Path, option: str) -> Path:
+    found = user_path(path)
+    if os.path.lexists(found):
+        raise GuiderError(f"{found} exists already and is never overwritten; choose another {option}")
+    return found
 
 
 def convert(
@@ -299,9 +318,7 @@ def report(
     opened = [runs.as_run(run) for run in run_directories]
     subjects = [Subject(run, same_data(run, None if index else data)) for index, run in enumerate(opened)]
     text = page(subjects, first_seed)
-    path = opened[0].directory / "report.html" if out is None else user_path(out)
-    if out is not None and os.path.lexists(path):
-        raise GuiderError(f"{path} exists already and is never overwritten; choose another --out")
+    path = opened[0].directory / "report.html" if out is None else _new_file(out, "--out")
     files.write_bytes(path, text.encode())
     return path
 

@@ -22,6 +22,7 @@ def data(
     mirror: str | None = None,
     layout: str | None = None,
     fps: float = 10.0,
+    report: Path | None = None,
     as_json: Json = False,
     **learning: Unpack[LearningOptions],
 ) -> None:
@@ -41,6 +42,7 @@ def data(
         out: fetch: directory for the files; by default GUIDER_DATA, or else ~/.cache/guider.
         layout: convert: plain (npz, nothing is lost), d4rl, ogbench, minari or lerobot; by default as OUT ends.
         fps: convert: steps a second, for LeRobot's.
+        report: inspect: a new HTML file for a page of it, with pictures.
         mirror: fetch: URL of a folder that holds the files under their own names, tried first.
         as_json: Print one JSON document instead of text.
     """
@@ -52,6 +54,8 @@ def data(
         raise GuiderError("guider data fetch takes --out and --mirror only; the other options are for inspect")
     if what != "fetch" and (out is not None or mirror is not None):
         raise GuiderError(f"guider data {what} takes no --out and no --mirror; they are for fetch")
+    if what != "inspect" and report is not None:
+        raise GuiderError(f"guider data {what} writes no page; --report is for inspect")
     if what != "convert" and (destination is not None or layout is not None):
         raise GuiderError(f"guider data {what} writes nothing; a second name and --layout are for convert")
     if what == "convert":
@@ -64,7 +68,7 @@ def data(
     elif what == "inspect":
         if source is None:
             raise GuiderError("say what to inspect: guider data inspect SOURCE")
-        description = api.inspect(source, task=task, **learning)
+        description = api.inspect(source, task=task, report=report, **learning)
         answer(description, _page(description), as_json)
     elif source is None and (out is not None or mirror is not None):
         raise GuiderError("say what to fetch: guider data fetch NAME; without a name it lists what there is")

@@ -5,6 +5,8 @@ Positions are in goal units, which are metres in mazes. A function that takes `a
 
 from __future__ import annotations
 
+import base64
+import io
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +22,7 @@ from matplotlib.path import Path as Outline
 from matplotlib.patheffects import withStroke
 
 from guider.data.episodes import Episodes
-from guider.support.files import replacing
+from guider.support.files import write_bytes
 from guider.tasks.mazes import Maze
 
 # Okabe and Ito's colours, which colour-blind readers tell apart.
@@ -41,9 +43,21 @@ def new_figure(title: str, size: tuple[float, float]) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write `figure` as PNG; a picture is never half there."""
-    with replacing(path) as part, warnings.catch_warnings():
+    write_bytes(path, png(figure))
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as PNG."""
+    drawn = io.BytesIO()
+    with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of names in scripts that the font lacks
-        figure.savefig(part, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
+        figure.savefig(drawn, format="png", dpi=DOTS_PER_INCH, bbox_inches="tight")
+    return drawn.getvalue()
+
+
+def data_url(image: bytes) -> str:
+    """A PNG as a page's own, which nothing is loaded for."""
+    return f"data:image/png;base64,{base64.b64encode(image).decode()}"
 
 
 def seed_range(first: int, count: int) -> str:

@@ -6,7 +6,6 @@ The page is a single HTML file that loads nothing: its data stand in it as JSON,
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import shlex
@@ -29,6 +28,7 @@ from guider.evaluation.trust import MEANINGS
 from guider.methods import find_method, preset_config
 from guider.methods.policy import Policy
 from guider.plots import draw_run
+from guider.plots.canvas import data_url
 from guider.runs import Run, RunSpec
 from guider.support.config import differences
 from guider.support.files import parse_json, read_lines
@@ -237,7 +237,7 @@ def _pictures(subject: Subject, first_seed: int) -> list[dict[str, str]]:
     return [
         {
             "name": path.stem.split("-")[0],
-            "source": "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode(),
+            "source": data_url(path.read_bytes()),
         }
         for path in paths
     ]
