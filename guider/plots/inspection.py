@@ -101,7 +101,9 @@ def lengths_and_travel(episodes: Episodes, description: dict[str, Any]) -> Figur
     """How many episodes are how long, and the median way between states so many steps apart, in goal units."""
     figure = canvas.new_figure("", (8.0, 2.8))
     left, right = figure.subplots(1, 2)
-    left.hist(episodes.lengths, bins=min(40, 1 + len(set(episodes.lengths.tolist()))), color=canvas.BLUE)
+    least, most = episodes.lengths.min(), episodes.lengths.max()
+    few = np.arange(least, most + 2) - 0.5
+    left.hist(episodes.lengths, bins=40 if most - least >= 40 else list(few), color=canvas.BLUE)
     left.set_xlabel("states in an episode", fontsize=8)
     left.set_ylabel("episodes", fontsize=8)
     travel = description["goal_travel"]
