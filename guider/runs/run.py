@@ -33,6 +33,7 @@ from guider.methods import find_method
 from guider.methods.policy import Policy
 from guider.methods.view import Scale, unit_scale
 from guider.runs import checkpoint
+from guider.support import plugins
 from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
@@ -180,6 +181,7 @@ def open_run(directory: str | Path) -> Run:
         values["spaces"] = later | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))
+    plugins.check_environment(spec.task or "", path)
     return Run(directory, spec)
 
 

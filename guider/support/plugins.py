@@ -22,6 +22,19 @@ from guider.errors import GuiderError, names_like
 Kind = Literal["methods", "tasks", "goals"]
 
 
+def check_environment(task: str, source: Path) -> None:
+    """Raise GuiderError where a task that the file `source` names, gym:MODULE:ENV_ID, would import a module that its
+    user has neither imported nor offered (GUIDER_ENVIRONMENTS; several as in PATH)."""
+    form, _, identifier = task.partition(":")
+    module, colon, _ = identifier.partition("?")[0].partition(":")
+    offered = os.environ.get("GUIDER_ENVIRONMENTS", "").split(os.pathsep)
+    if form == "gym" and colon and module not in sys.modules and module not in offered:
+        raise GuiderError(
+            f"{source} names the task {task}, for which the module {module} would be imported, and so run; if you know "
+            f"it, say so: GUIDER_ENVIRONMENTS={module}"
+        )
+
+
 def find(kind: Kind, name: str, ours: Mapping[str, Any], hint: str = "") -> Any:
     """What is called `name`: one of `ours`, or from outside. Raises GuiderError, with the names closest to it and
     `hint`, if there is none, and where one from outside cannot be loaded."""

@@ -221,3 +221,22 @@ def test_own_data_needs_a_goal(logs, tmp_path):
         guider.train(data=logs, out=tmp_path / "run")
     with pytest.raises(GuiderError, match="no data given"):
         guider.train("pointmaze-umaze")
+
+
+def test_a_strangers_run_imports_no_module_that_its_user_has_not_offered(copy, tmp_path, monkeypatch):
+    """The task gym:MODULE:ENV_ID would: whoever wrote run.json could have written any module's name."""
+    (tmp_path / "theirs.py").write_text("raise SystemExit('it ran')")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = "gym:theirs:Robot-v0?radius=1"
+    path = copy.directory / "run.json"
+    files.write_json(
+        path, {name: value for name, value in files.parse_json(path).items() if name != files.CHECKSUM} | {"task": task}
+    )
+    for use in (runs.open_run, guider.evaluate, guider.load, guider.resume):
+        with pytest.raises(GuiderError, match=r"module theirs would be imported.*GUIDER_ENVIRONMENTS=theirs"):
+            use(copy.directory)
+    monkeypatch.setenv("GUIDER_ENVIRONMENTS", f"other{os.pathsep}theirs")
+    assert runs.open_run(copy.directory).spec.task == task
+    monkeypatch.delenv("GUIDER_ENVIRONMENTS")
+    monkeypatch.setitem(sys.modules, "theirs", sys)
+    assert runs.open_run(copy.directory).spec.task == task, "it was imported already"
