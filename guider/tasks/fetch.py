@@ -15,12 +15,11 @@ import numpy as np
 
 from guider.collect.fetch import EPISODE_STEPS, Recipe, record
 from guider.collect.fetch_experts import Expert, pick, push, reach, slide
-from guider.data.store import Recording
 from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
-from guider.tasks.simulation import available_cores
-from guider.tasks.types import Collector, Report, Task, VectorEnv
+from guider.tasks.simulation import on_all_cores
+from guider.tasks.types import Collector, Task, VectorEnv
 
 RADIUS_M = 0.05
 EXPERT_SHARES = {"expert": 1.0, "mixed": 0.1}
@@ -30,10 +29,6 @@ GRIPPER, OBJECT = (0, 1, 2), (3, 4, 5)
 def make_env(env_id: str, count: int) -> VectorEnv:
     """`count` copies of a Fetch environment."""
     return GymVectorEnv(partial(make_gymnasium, env_id), count)
-
-
-def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
-    return record(recipe, steps, seed, report, available_cores())
 
 
 def _task(
@@ -66,7 +61,7 @@ def _task(
         source="WGCSL (Yang et al. 2022)",
         make_env=partial(make_env, env_id),
         copies=20,  # 0.1 s to build, each
-        collector=Collector(partial(_record, recipe), episodes * (EPISODE_STEPS + 1), actors[data]),
+        collector=Collector(partial(on_all_cores, record, recipe), episodes * (EPISODE_STEPS + 1), actors[data]),
         places=np.atleast_2d,
         paper_score=paper_score,
     )

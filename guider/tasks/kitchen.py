@@ -19,12 +19,11 @@ import numpy as np
 
 from guider.collect.kitchen import PLAY_DECK, WHOLE, Recipe, record
 from guider.data.readers.kitchen import kitchen_states
-from guider.data.store import Recording
 from guider.support.physics import mujoco
 from guider.tasks.gym_env import GymVectorEnv
 from guider.tasks.gymnasium_tasks import make_gymnasium
-from guider.tasks.simulation import available_cores
-from guider.tasks.types import Collector, Report, Task, VectorEnv
+from guider.tasks.simulation import on_all_cores
+from guider.tasks.types import Collector, Task, VectorEnv
 
 STATE_DIM = 30
 GOAL_INDICES = tuple(range(9, STATE_DIM))
@@ -81,10 +80,6 @@ def _read(goal: tuple[float, ...], observation: dict[str, np.ndarray]) -> tuple[
     return kitchen_states(observation["observation"]), np.array(goal)
 
 
-def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
-    return record(recipe, steps, seed, report, available_cores())
-
-
 def _task(data: str, noise: str, subtasks: tuple[str, ...], recorded_steps: int, paper_score: float) -> Task:
     """recorded_steps: rows of D4RL's file."""
     goal = goal_vector(subtasks)
@@ -116,7 +111,7 @@ def _task(data: str, noise: str, subtasks: tuple[str, ...], recorded_steps: int,
         source="D4RL kitchen",
         make_env=partial(make_env, goal, noise),
         copies=10,  # 80 MB and 0.2 s to build, each
-        collector=Collector(partial(_record, recipe), recorded_steps, "scripted demonstrations"),
+        collector=Collector(partial(on_all_cores, record, recipe), recorded_steps, "scripted demonstrations"),
         paper_score=paper_score if noise == "D4RL" else None,
     )
 

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import gymnasium
 
 from guider.collect.ogbench import Play, Recipe, record
-from guider.data.store import Recording
 from guider.support.extras import extra
-from guider.tasks.simulation import available_cores
-from guider.tasks.types import Collector, Report
+from guider.tasks.simulation import on_all_cores
+from guider.tasks.types import Collector
 
 GOALS = 5
 """Of every environment. Episode e aims at goal 1 + e % 5."""
@@ -39,8 +38,4 @@ def make_unwrapped(env_id: str, **settings: Any) -> Any:
 def collector(make_env: Callable[[], Any], data: Data, recipe: str) -> Collector:
     """Records by OGBench's protocol."""
     asked = Recipe(make_env, data.play, data.episode_steps)
-    return Collector(partial(_record, asked), data.episodes * data.episode_steps, recipe)
-
-
-def _record(recipe: Recipe, steps: int, seed: int, report: Report) -> Recording:
-    return record(recipe, steps, seed, report, available_cores())
+    return Collector(partial(on_all_cores, record, asked), data.episodes * data.episode_steps, recipe)

@@ -7,11 +7,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from guider.data.store import Recording
 from guider.support.physics import mujoco
-from guider.tasks.types import Scene
+from guider.tasks.types import Report, Scene
 
 
 @dataclass(frozen=True)
@@ -109,3 +111,8 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def on_all_cores(record: Callable[..., Recording], recipe: Any, steps: int, seed: int, report: Report) -> Recording:
+    """What `record`, which takes the number of processes last, makes of a recipe."""
+    return record(recipe, steps, seed, report, available_cores())
