@@ -102,7 +102,7 @@ def jumps(episodes: Episodes) -> list[str]:
     if wraps:
         found.append(
             f"{_listed([_name(episodes, entry) for entry in wraps])}: whole range crossed in a step; angles that wrap "
-            "are better given as sine and cosine"
+            "are better given as sine and cosine, as a goal --goal angle:NAME is (in radians)"
         )
     return found
 
