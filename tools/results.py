@@ -87,13 +87,17 @@ class Row:
         in_walls, off_data = (
             100 * np.mean([seed[f"subgoals_{where}"] for seed in self.seeds]) for where in ("in_walls", "off_data")
         )
+        runs_each = [len(result["per_seed"]) for result in self.results]
+        even = len(set(runs_each)) == 1
         each = [", ".join(f"{seed['score']:g}" for seed in result["per_seed"]) for result in self.results]
         return {
             "task": self.task,
             "data": self.label,
             "success, %, of each training seed; by data seed": "; ".join(each),
             "success, % (95 %)": f"**{scores.mean():.1f}** ({low:.1f} to {high:.1f})",
-            "data x training seeds, episodes": f"{len(each)} x {len(scores) // len(each)}, {scores.size}",
+            "data x training seeds, episodes": f"{len(each)} x {runs_each[0]}, {scores.size}"
+            if even
+            else f"{len(scores)} in all, {scores.size}",
             "failures: fell / stuck / out of time": f"{causes} of {len(endings)}",
             "subgoals in walls / off the data, %": f"{in_walls:.1f} / {off_data:.1f}",
         }
