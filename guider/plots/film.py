@@ -85,6 +85,8 @@ def film(
     Raises GuiderError where the name's ending is none of FORMATS, where the file exists, where the task is no MuJoCo
     simulation, and where nothing can be drawn on this machine.
     """
+    if episodes < 1 or first_seed < 0:
+        raise GuiderError(f"films are of 1 or more episodes from seed 0 or more on, not {episodes} from {first_seed}")
     if path.suffix not in FORMATS:
         raise GuiderError(f"{path}: a film's name ends in {' or '.join(FORMATS)}")
     if os.path.lexists(path):

@@ -126,6 +126,9 @@ def test_what_cannot_be_filmed_is_said(tmp_path):
     (tmp_path / "a.gif").touch()
     with pytest.raises(GuiderError, match="never overwritten"):
         film(policy, SHORT, tmp_path / "a.gif", 1, 0, SMALL)
+    for episodes, first_seed in ((0, 0), (1, -1)):
+        with pytest.raises(GuiderError, match=f"not {episodes} from {first_seed}"):
+            film(policy, SHORT, tmp_path / "b.gif", episodes, first_seed, SMALL)
     with pytest.raises(GuiderError, match="even numbers, not 97 x 64"):
         Look(width=97, height=64)
 
