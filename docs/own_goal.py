@@ -30,7 +30,9 @@ def hand(states: jax.Array) -> jax.Array:
 def turned(states: jax.Array) -> jax.Array:
     """Two columns [..., 6] of the rotation that a quaternion stands for (w, x, y, z; entries 2 to 5): its sign, which
     means nothing, is gone."""
-    w, x, y, z = jnp.moveaxis(states[..., 2:6] / jnp.linalg.norm(states[..., 2:6], axis=-1, keepdims=True), -1, 0)
+    w, x, y, z = jnp.moveaxis(states[..., 2:6], -1, 0)
+    size = jnp.maximum(jnp.sqrt(w * w + x * x + y * y + z * z), 1e-6)
+    w, x, y, z = w / size, x / size, y / size, z / size
     first = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
     second = [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)]
     return jnp.stack(first + second, axis=-1)

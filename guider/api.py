@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
@@ -120,7 +119,7 @@ def inspect(
     """What logged data holds (see guider.data.describe) and, given a task or a radius, what `train` would make of it:
     options are as there. Where nobody names the goal space, it is assumed to be the first two entries of a state.
     report: a new file, for an HTML page of it."""
-    place = None if report is None else _new_file(report, "--report")
+    place = None if report is None else files.new_file(report, "--report")
     asked = said(options)
     described_only = task is None and "radius" not in asked
     if described_only and ("reach_radius" in asked or "period_steps" in asked):
@@ -152,13 +151,6 @@ def _data_use(task: str | None, episodes: Episodes, options: LearningOptions) ->
         "period_steps": problem.period_steps,
         "data_use": f"{use}{refused}",
     }
-
-
-def _new_file(path: str | Path, option: str) -> Path:
-    found = user_path(path)
-    if os.path.lexists(found):
-        raise GuiderError(f"{found} exists already and is never overwritten; choose another {option}")
-    return found
 
 
 def convert(
@@ -289,14 +281,14 @@ def film(
     path: a new file, .gif or .mp4; seed: which trained seed's policy, default the first; first_seed: of the episodes;
     camera: one of the simulation's, by name; size: width and height of a frame, pixels. See guider.plots.film.
     """
-    from guider.plots.film import Look
+    from guider.plots.drawing import Look
     from guider.plots.film import film as shoot
 
     opened = runs.as_run(run)
     if opened.spec.task is None:
         raise GuiderError(f"{opened.directory} was trained on your own data, and there is no simulator to film")
     policy, look = opened.policies()[_seed_index(opened, seed)], Look(camera, *size)
-    return shoot(policy, find_task(opened.spec.task), user_path(path), episodes, first_seed, look, on_steps)
+    return shoot(policy, find_task(opened.spec.task), path, episodes, first_seed, look, on_steps)
 
 
 def report(
@@ -318,7 +310,7 @@ def report(
     opened = [runs.as_run(run) for run in run_directories]
     subjects = [Subject(run, same_data(run, None if index else data)) for index, run in enumerate(opened)]
     text = page(subjects, first_seed)
-    path = opened[0].directory / "report.html" if out is None else _new_file(out, "--out")
+    path = opened[0].directory / "report.html" if out is None else files.new_file(out, "--out")
     files.write_bytes(path, text.encode())
     return path
 

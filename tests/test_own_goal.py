@@ -16,6 +16,7 @@ from guider.data.goal_spaces import extended, goals_of, with_goals
 from guider.errors import GuiderError
 from guider.exporting import actor
 from guider.plots.report import training_command
+from guider.support import plugins
 from guider.support.files import parse_json
 
 FILE = Path(__file__).parent.parent / "docs" / "own_goal.py"
@@ -45,7 +46,9 @@ def test_angles_are_on_their_circle_by_hand():
     assert goals_of(with_goals(arm(), ("angle:shoulder", "elbow", "w")).spaces) == ["angle:0", "1", "2"]
     several = with_goals(arm(), ("angle:*o*",))
     assert several.computed == ("angle:0", "angle:1") and several.goal_indices == (6, 7, 8, 9)
-    assert with_goals(arm(()), ("angle:1",)).state_names == ()
+    assert with_goals(arm(()), ("angle:1",)).state_names == ("0", "1", "2", "3", "4", "5", "cos 1", "sin 1")
+    twice = with_goals(with_goals(arm(), ("angle:0",)), ("angle:0", "angle:shoulder", "angle:elbow"))
+    assert twice.computed == ("angle:0", "angle:1") and twice.goal_indices == (6, 7, 8, 9)
     with pytest.raises(GuiderError, match="no state entry is called 'wrist'"):
         with_goals(arm(), ("angle:wrist",))
 
@@ -87,6 +90,41 @@ def test_a_run_computes_its_goal_wherever_it_goes(own, tmp_path, monkeypatch):
     assert main(["evaluate", str(run)]) == 1
 
 
+def test_another_function_under_the_same_name_is_noticed(tmp_path, monkeypatch):
+    file, run = tmp_path / "goals.py", tmp_path / "run"
+    monkeypatch.setenv("GUIDER_GOALS", str(file))
+    file.write_text("GOALS = {'double': lambda states: 2 * states[..., :1]}")
+    guider.train(data=arm(), goal=("double",), radius=0.2, out=run, method="bc", settings=BC)
+    changed = tmp_path / "changed.py"
+    for factor, entries in ((3, 1), (2, 2)):
+        changed.write_text(f"GOALS = {{'double': lambda states: {factor} * states[..., :{entries}]}}")
+        monkeypatch.setenv("GUIDER_GOALS", str(changed))
+        plugins._offered.cache_clear()
+        for use in (guider.load, lambda run: guider.evaluate(run, data=arm())):
+            with pytest.raises(GuiderError, match="double computes something else than when this was trained"):
+                use(run)
+
+
+def test_a_goal_is_not_an_entry_too(own):
+    with pytest.raises(GuiderError, match="hand is a state entry and a goal of GUIDER_GOALS"):
+        with_goals(arm(("hand", "b", "c", "d", "e", "f")), ("hand",))
+
+
+def test_what_comes_out_as_nan_is_refused_when_acting(tmp_path, monkeypatch):
+    file = tmp_path / "goals.py"
+    file.write_text(
+        "import jax.numpy as jnp\nGOALS = {'up': lambda s: jnp.where(s[..., :1] < -50, jnp.nan, s[..., :1])}"
+    )
+    monkeypatch.setenv("GUIDER_GOALS", str(file))
+    logs = arm()
+    run = guider.train(data=logs, goal=("up",), radius=0.2, out=tmp_path / "run", method="bc", settings=BC)
+    with (
+        pytest.raises(GuiderError, match="what is computed of the observation holds NaN or inf"),
+        np.errstate(all="ignore"),
+    ):
+        guider.load(run).act(np.full(6, -99), np.zeros(1))
+
+
 def test_episodes_in_memory_have_computed_goals_too(tmp_path):
     run = guider.train(data=arm(), goal=("angle:shoulder",), radius=0.2, out=tmp_path / "run", method="bc", settings=BC)
     assert run.spec.spaces.computed == ("angle:0",)
@@ -98,9 +136,14 @@ def test_episodes_in_memory_have_computed_goals_too(tmp_path):
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("states[:, 0]", r"must be finite numbers \[rows, entries\], a row for each of 200 states; got \(200,\)"),
-        ("states[:, :1] / 0", "must be finite numbers"),
-        ("states[:, 99:].nothing", "cannot be computed .AttributeError"),
+        ("states[..., 0]", r"must be numbers \[rows, entries\], a row for each of 200 states; got \(200,\)"),
+        ("states[..., :0]", r"must be numbers .* got \(200, 0\)"),
+        ("states[..., :1] + 1j", r"must be numbers \[rows, entries\]"),
+        ("states[..., :1] / 0", "is NaN or infinite in 200 of 200 states"),
+        ("states[:, :2]", r"of states \[rows, S\] and of one state \[S\], under jax.jit"),
+        ("states[..., :1] if states.sum() > 0 else states[..., 1:2]", "under jax.jit.*TracerBool"),
+        ("states[..., :1] - states[..., :1].mean()", "gives one state alone something else"),
+        ("states.nothing", "AttributeError"),
     ],
 )
 def test_what_a_function_does_wrong_is_a_line(body, message, tmp_path, monkeypatch):

@@ -100,7 +100,10 @@ def entries_called(names: Sequence[str], state_dim: int, wanted: Sequence[str], 
             hits.append(int(pattern))
         if not hits:
             there = describe_keys(tuple(names)) if names else f"0 to {state_dim - 1}, without names"
-            raise GuiderError(f"{source}: no state entry is called {pattern!r}; there are {there}")
+            raise GuiderError(
+                f"{source}: no state entry is called {pattern!r}; there are {there} (what is computed is known once "
+                "GUIDER_GOALS names its file)"
+            )
         found.extend(hits)
     return tuple(dict.fromkeys(found))
 

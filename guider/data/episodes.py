@@ -25,7 +25,7 @@ class Spaces:
     state_dim: S; goal_indices: entries of the state that form the goal; action_low, action_high: [A] bounds;
     state_low, state_high: [S] least and greatest of each state entry, or recorded goal's, in the data; () if not known;
     state_names, action_names: of the entries, () where they have none; computed: what the last entries of a state are
-    computed by, see guider.data.goal_spaces; computed_widths: how many each.
+    computed by, see guider.data.goal_spaces; computed_widths: how many each; example: [S] a state, where any are.
     """
 
     state_dim: int
@@ -38,6 +38,7 @@ class Spaces:
     action_names: tuple[str, ...] = ()
     computed: tuple[str, ...] = ()
     computed_widths: tuple[int, ...] = ()
+    example: tuple[float, ...] = ()
 
     @property
     def goal_dim(self) -> int:
@@ -150,6 +151,7 @@ class Episodes:
             action_names=self.action_names,
             computed=self.computed,
             computed_widths=self.computed_widths,
+            example=tuple(map(float, self.observations[0])) if self.computed else (),
         )
 
     def fingerprint(self) -> str:

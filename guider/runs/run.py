@@ -27,6 +27,7 @@ import jax.numpy as jnp
 
 from guider.data import AS_FOUND, Reading
 from guider.data.episodes import Spaces
+from guider.data.goal_spaces import check_computed
 from guider.errors import GuiderError
 from guider.learning.training import Position, seed_keys
 from guider.methods import find_method
@@ -125,6 +126,7 @@ def how_to_resume(directory: Path) -> str:
 
 def policies(spec: RunSpec, state: Any) -> list[Policy]:
     """One policy per seed from a state whose leaves are [seeds, ...]."""
+    check_computed(spec.spaces)
     shown_low, shown_high = _shown(spec.spaces)
     return [
         Policy(
@@ -177,7 +179,7 @@ def open_run(directory: str | Path) -> Run:
         settings = merged(to_dict(method.config_type()), settings)
         said = {name: values.pop(name) for name in ("format", "episode_ends") if name in values}
         values.setdefault("reading", to_dict(AS_FOUND) | said)
-        later = {"state_names": [], "action_names": [], "computed": [], "computed_widths": []}
+        later = {"state_names": [], "action_names": [], "computed": [], "computed_widths": [], "example": []}
         values["spaces"] = later | dict(values.get("spaces") or {})
     config = from_dict(method.config_type, settings, f"{path}: config")
     spec = from_dict(RunSpec, {**values, "config": config}, str(path))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from guider.data.episodes import IN_MEMORY, Episodes
-from guider.data.goal_spaces import with_computed
+from guider.data.goal_spaces import check_computed, with_computed
 from guider.errors import GuiderError
 from guider.runs.asked import episodes_of
 from guider.runs.run import Run, RunSpec
@@ -13,10 +13,12 @@ from guider.support.files import user_path
 
 
 def same_data(run: Run, data: str | Path | Episodes | None) -> Episodes:
-    """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same."""
+    """The run's data, from `data` if it has moved. Raises GuiderError if it is not the same, and where what
+    is computed of it is not."""
     spec = run.spec
     if data is None and spec.data == IN_MEMORY:
         raise GuiderError(f"{run.directory} was trained on arrays in memory; give the same Episodes (data=episodes)")
+    check_computed(spec.spaces)
     try:
         given = spec.data if data is None else data
         episodes = _read(given, spec)

@@ -5,6 +5,7 @@ Nothing here follows a symbolic link: what lies in a folder from elsewhere must 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -242,6 +243,18 @@ def is_dead(pid: int) -> bool:
     except PermissionError:
         return False
     return False
+
+
+def new_file(typed: str | Path, option: str) -> Path:
+    """The path of a file that is to be written, in a folder that is made where there is none. Raises GuiderError where
+    something is there already, OSError where nothing can be written."""
+    path = user_path(typed)
+    if os.path.lexists(path):
+        raise GuiderError(f"{path} exists already and is never overwritten; choose another {option}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, "nothing can be written here", str(path.parent))
+    return path
 
 
 def user_path(typed: str | Path) -> Path:

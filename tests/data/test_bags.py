@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,8 @@ def drive(path: Path, seconds: float = 3.0, **options: Any) -> Path:
 
 def test_rows_stand_at_the_slowest_clock_by_hand(tmp_path):
     """Commands at 0.3 s, 0.55 s, ...: the joints' last word before was at 0.3 s (their 7th), 0.55 s (12th), ..."""
-    store = bags.read_mcap(drive(tmp_path / "a.mcap"))
+    path = drive(tmp_path / "a.mcap")
+    store = bags.read_mcap(path, [path])
     assert store.kind == "MCAP" and set(store.keys) == {
         "timestamp",
         "arm/joints.position.shoulder",
@@ -75,23 +76,74 @@ def test_rows_stand_at_the_slowest_clock_by_hand(tmp_path):
     np.testing.assert_allclose(store.vector("cmd_vel.linear.x"), np.arange(11) / 10)
 
 
-def say(**topics: list[float]) -> bags.Said:
+def say(**topics: list[float]) -> dict[str, bags.Topic]:
     """Topics that say the number of their message at these seconds."""
-    said: bags.Said = defaultdict(lambda: defaultdict(list))
-    for topic, seconds in topics.items():
-        said[topic]["x"] = [(round(time * SECOND), float(number)) for number, time in enumerate(seconds)]
+    said = {}
+    for name, seconds in topics.items():
+        times = array("q", [round(time * SECOND) for time in seconds])
+        said[name] = bags.Topic(times, {"x": bags.Column(times, array("d", range(len(seconds))))})
     return said
 
 
-def test_who_speaks_too_seldom_is_no_clock_and_who_speaks_too_late_is_left_out():
-    often, seldom = [0.1 * k for k in range(100)], [0.0, 4.0, 8.0]
-    found = bags.table(say(often=often, seldom=seldom, late=[9.0, 9.5]))
-    assert set(found) == {"timestamp", "often.x", "seldom.x"} and len(found["timestamp"]) == 100
+OFTEN = [0.1 * k for k in range(100)]
+
+
+def test_who_speaks_too_seldom_is_no_clock():
+    found, partial = bags.table(say(often=OFTEN, seldom=[0.0, 4.0, 8.0]))
+    assert set(found) == {"timestamp", "often.x", "seldom.x"} and len(found["timestamp"]) == 100 and partial == {}
     assert list(found["seldom.x"][[0, 39, 40, 41, 99]]) == [0, 0, 1, 1, 2]
-    begun = bags.table(say(often=often, second=[2.05 + 0.1 * k for k in range(50)]))
-    assert begun["timestamp"][0] == pytest.approx(2.1), "rows begin once all have spoken"
-    lone = bags.table(say(seldom=seldom))
+    lone, _ = bags.table(say(seldom=[0.0, 4.0, 8.0]))
     assert list(lone["seldom.x"]) == [0, 1, 2]
+    begun, _ = bags.table(say(often=OFTEN, second=[2.05 + 0.1 * k for k in range(78)]))
+    assert begun["timestamp"][0] == pytest.approx(2.1), "rows begin once all have spoken"
+
+
+@pytest.mark.parametrize("times", [[9.0, 9.5], [0.1 * k for k in range(30)], [6.0 + 0.1 * k for k in range(40)]])
+def test_who_speaks_for_a_part_only_is_left_out_and_told(times):
+    """Late, at the beginning, and at the end: held for the rest, what it said would be wrong."""
+    found, partial = bags.table(say(often=OFTEN, part=times))
+    assert set(found) == {"timestamp", "often.x"} and len(found["timestamp"]) == 100
+    assert (
+        list(partial) == ["part"]
+        and f"speaks from {times[0]:.3g} to {times[-1]:.3g} s of 9.9 s only" in partial["part"]
+    )
+    _, late = bags.table(say(often=OFTEN, seldom=[8.0]))
+    assert late == {"seldom": "it speaks from 8 s on only"}
+
+
+def test_there_is_no_row_where_one_had_long_been_silent():
+    """The second topic pauses from 3 to 6 s: rows stop half a second, or five spacings, after its last word."""
+    second = [0.05 + 0.1 * k for k in range(30)] + [6.05 + 0.1 * k for k in range(39)]
+    found, _ = bags.table(say(often=OFTEN, second=second))
+    inside = found["timestamp"][(found["timestamp"] > 3.0) & (found["timestamp"] < 6.0)]
+    assert inside[-1] == pytest.approx(3.4) and len(inside) == 4
+
+
+def test_lists_without_names_that_vary_are_left_out_and_joints_may_take_turns(tmp_path):
+    messages = [(k / 10, "/list", "std_msgs/L", "float64[] data", {"data": [1.0] * (1 + k % 3)}) for k in range(20)]
+    for k in range(20):
+        name, value = ("shoulder", k / 10) if k % 2 else ("elbow", -k / 10)
+        said = {"name": [name], "position": [value], "velocity": []}
+        messages.append((k / 10, "/joints", "sensor_msgs/JointState", JOINTS, said))
+    messages += [(k / 10, "/rgb", "std_msgs/C", "uint8[3] data", {"data": bytes([k, 2, 3])}) for k in range(20)]
+    path = record(tmp_path / "a.mcap", sorted(messages, key=lambda message: message[0]))
+    store = bags.read_mcap(path, [path])
+    assert set(store.keys) == {"timestamp", "list.data.0", "joints.position.shoulder", "joints.position.elbow"} | {
+        f"rgb.data.{k}" for k in range(3)
+    }
+    assert list(store.vector("rgb.data.0")[:3]) == [1, 2, 3], "rows begin once both joints have spoken"
+    np.testing.assert_allclose(store.vector("joints.position.shoulder")[:4], [0.1, 0.1, 0.3, 0.3])
+
+
+def test_a_recording_cut_by_its_size_is_one(tmp_path):
+    messages = [joints(k / 20, k / 20, -k / 20) for k in range(40)] + [twist(k / 4, k / 10) for k in range(8)]
+    messages.sort(key=lambda message: message[0])
+    record(tmp_path / "bag_0.mcap", messages[:20])
+    record(tmp_path / "bag_1.mcap", messages[20:])
+    apart = load(tmp_path, goal=("shoulder",))
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    whole = load(tmp_path, goal=("shoulder",))
+    assert list(whole.lengths) == [8] and len(apart.lengths) == 2
 
 
 def test_a_bag_and_a_folder_of_them_are_logs(tmp_path, capsys):
@@ -118,7 +170,7 @@ def test_damage_is_a_line(tmp_path, compression):
         path = tmp_path / "b.mcap"
         path.write_bytes(content if trial % 3 else content[: rng.integers(8, len(content))])
         try:
-            bags.read_mcap(path)
+            bags.read_mcap(path, [path])
         except GuiderError as error:
             refused += 1
             assert str(path) in str(error) and "\n" not in str(error)
@@ -135,3 +187,7 @@ def test_memory_is_asked_for_first(tmp_path, monkeypatch):
     monkeypatch.setattr("guider.data.safety.free_memory", lambda: 1000)
     with pytest.raises(GuiderError, match="reading its messages takes"):
         load(drive(tmp_path / "a.mcap"), (0,))
+    monkeypatch.setattr("guider.data.safety.free_memory", lambda: 20_000)
+    monkeypatch.setattr(bags, "_NUMBERS_BETWEEN_LOOKS", 100)
+    with pytest.raises(GuiderError, match="its messages are too many; reading more takes"):
+        load(drive(tmp_path / "b.mcap", 60.0, chunk_size=1000), (0,))

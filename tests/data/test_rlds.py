@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from guider.data import load
 from guider.data.readers import rlds
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 
 
 def varint(value: int) -> bytes:
@@ -50,7 +51,7 @@ def write(path: Path, records: list[bytes]) -> Path:
 def episode(number: int, steps: int) -> bytes:
     ramp = np.arange(steps, dtype=np.float32)
     first = np.zeros(steps, np.int64)
-    first[0] = 1
+    first[:1] = 1
     return example(
         {
             "steps/is_first": first,
@@ -71,7 +72,7 @@ def test_checksums_are_castagnolis():
 
 
 def test_records_are_episodes_by_hand(tmp_path):
-    path = write(tmp_path / "set-train.tfrecord-00000-of-00002", [episode(0, 4), episode(1, 3)])
+    path = write(tmp_path / "set-train.tfrecord-00000-of-00001", [episode(0, 4), episode(1, 3)])
     store = rlds.read_rlds(path, [path])
     assert set(store.keys) == {"is_first", "observation/state", "action", "reward", "lag"}
     assert store.lengths is not None and list(store.lengths) == [4, 3]
@@ -88,7 +89,8 @@ def test_a_folder_of_shards_is_one_set(tmp_path):
     (tmp_path / "dataset_info.json").write_text("{}")
     found = load(tmp_path, (0, 1))
     assert list(found.lengths) == [4, 3, 5] and found.observations.shape == (12, 3) and found.actions.shape == (12, 2)
-    assert load(tmp_path / "set-train.tfrecord-00001-of-00002", (0, 1)).observations[0, 1] == 2
+    with pytest.warns(GuiderWarning, match="of set-train, 1 of 2 files are here"):
+        assert load(tmp_path / "set-train.tfrecord-00001-of-00002", (0, 1)).observations[0, 1] == 2
 
 
 def test_single_values_need_not_be_packed():
@@ -127,6 +129,30 @@ def test_damage_is_a_line(tmp_path):
             rlds.read_rlds(path, [path])
         except GuiderError:
             pass
+
+
+def test_splits_missing_files_and_others_beside_them_are_told(tmp_path):
+    write(tmp_path / "set-train.tfrecord-00001-of-00002", [episode(0, 4)])
+    write(tmp_path / "set-val.tfrecord-00000-of-00001", [episode(1, 4), episode(2, 0)])
+    (tmp_path / "set-val.tfrecord.index").write_bytes(b"something else")
+    with pytest.warns(GuiderWarning) as told:
+        found = load(tmp_path, (0, 1))
+    assert list(found.lengths) == [4, 4], "an episode of no steps is none"
+    assert [str(warning.message).partition(": ")[2] for warning in told] == [
+        "set-train, set-val are read as one set of episodes",
+        "of set-train, 1 of 2 files are here",
+    ]
+
+
+def test_ragged_features_are_left_out_and_gzipped_files_named(tmp_path):
+    ragged = {"steps/is_first": np.array([1, 0, 0]), "steps/reward": np.zeros(3, np.float32)}
+    ragged |= {"steps/obs/ragged_flat_values": np.arange(6.0), "steps/obs/ragged_row_lengths_0": np.array([1, 4, 1])}
+    path = write(tmp_path / "a.tfrecord", [example(ragged)])
+    assert set(rlds.read_rlds(path, [path]).keys) == {"is_first", "reward"}
+    zipped = tmp_path / "b.tfrecord.gz"
+    zipped.write_bytes(gzip.compress(path.read_bytes()))
+    with pytest.raises(GuiderError, match="is gzipped; unpack it first"):
+        load(zipped, (0, 1))
 
 
 def test_links_are_not_followed(tmp_path):

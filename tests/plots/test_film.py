@@ -15,8 +15,10 @@ import guider
 from guider.cli import main
 from guider.errors import GuiderError
 from guider.methods import preset_config
+from guider.plots import drawing as pictures
 from guider.plots import film as films
-from guider.plots.film import Look, Mark, film, marks
+from guider.plots.drawing import Look, Mark
+from guider.plots.film import film, marks
 from guider.tasks import find_task
 from guider.tasks.mazes import floor_places
 
@@ -28,7 +30,7 @@ SHORT = replace(TASK, horizon_steps=6)
 def drawing() -> None:
     """There is a library that draws without a screen."""
     try:
-        with films._drawing(TASK, SMALL):
+        with pictures.drawing(TASK, SMALL):
             pass
     except GuiderError as error:
         pytest.skip(str(error))
@@ -60,7 +62,7 @@ def test_a_mark_is_drawn_where_it_is():
     env = TASK.make_env(1)
     env.reset(np.array([0]))
     scene = env.scene(0)  # pyright: ignore[reportAttributeAccessIssue]
-    with films._drawing(TASK, SMALL) as draw:
+    with pictures.drawing(TASK, SMALL) as draw:
         without = draw(scene, []).astype(int)
         red = draw(scene, [Mark(np.array([0.0, 0.0, 0.2]), 0.4, (1.0, 0.0, 0.0, 1.0))]).astype(int)
         again = draw(scene, [])
@@ -137,8 +139,11 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
     def missing(name):
         raise ImportError(f"no {name}")
 
+    monkeypatch.setattr(pictures.importlib, "import_module", missing)
+    monkeypatch.setenv("MUJOCO_GL", "ogl")
+    with pytest.raises(GuiderError, match=r"'ogl', which draws nothing"):
+        film(make_policy(2), SHORT, tmp_path / "a.gif", 1, 0, SMALL)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setattr(films.importlib, "import_module", missing)
     with pytest.raises(GuiderError, match=r"osmesa does not work \(no mujoco.osmesa\): install libegl1"):
         film(make_policy(2), SHORT, tmp_path / "a.gif", 1, 0, SMALL)
     assert os.listdir(tmp_path) == []

@@ -34,7 +34,7 @@ def open_file(path: Path, format: str | None = None) -> Iterator[Store]:
     elif format is None and table_kind(path) is not None:
         yield read_table(path)
     elif format is None and is_mcap(path):
-        yield read_mcap(path)
+        yield read_mcap(path, [path])
     elif format is None and is_rlds(path):
         yield read_rlds(path, [path])
     else:

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from guider.data.readers.bags import read_mcap
 from guider.data.readers.files import open_file, refuse_others
-from guider.data.readers.rlds import read_rlds
+from guider.data.readers.rlds import is_shard, read_rlds
 from guider.data.readers.tables import read_parquet
-from guider.data.store import Store, stacked, store_of
+from guider.data.store import Store, in_memory, stacked, store_of
 from guider.errors import GuiderError
 from guider.support.files import parse_json
 
@@ -30,7 +31,7 @@ def read_folder(folder: Path) -> Store:
     files = _files(folder)
     if (folder / "meta" / "info.json").is_file():
         return _lerobot(folder, [path for path in files if path.suffix == ".parquet"])
-    if records := [path for path in files if _is_record(path)]:
+    if records := [path for path in files if is_shard(path.name)]:
         return read_rlds(folder, records)
     kinds = Counter(path.suffix.lower() for path in files if path.suffix.lower() in _EPISODE_FILES)
     if len(kinds) > 1:
@@ -43,9 +44,22 @@ def read_folder(folder: Path) -> Store:
             f"{folder}: a directory, but not a Minari dataset's nor LeRobot's, nor one of episodes ("
             f"{', '.join(_EPISODE_FILES)}); name a file in it"
         )
+    if ".mcap" in kinds:
+        return _bags(folder, [path for path in files if path.suffix.lower() == ".mcap"])
     ending = next(iter(kinds))
     episodes = [path for path in files if path.suffix.lower() == ending]
     return stacked(str(folder), _EPISODE_FILES[ending], _episodes(folder, episodes))
+
+
+def _bags(folder: Path, files: list[Path]) -> Store:
+    """ROS 2 recordings, an episode each; files in a folder with metadata.yaml are one recording, cut by its size."""
+    recordings: dict[Path, list[Path]] = {}
+    for path in files:
+        recordings.setdefault(path.parent if (path.parent / "metadata.yaml").is_file() else path, []).append(path)
+    stores = {place: read_mcap(place, paths) for place, paths in recordings.items()}
+    if len(stores) == 1:
+        return next(iter(stores.values()))
+    return stacked(str(folder), "MCAP", ((place.name, in_memory(store)) for place, store in stores.items()))
 
 
 def _lerobot(folder: Path, files: list[Path]) -> Store:
@@ -111,17 +125,12 @@ def _files(folder: Path) -> list[Path]:
         found += [Path(inner, name) for name in names if not name.startswith(".")]
         if len(found) > _MOST_FILES:
             raise GuiderError(f"{folder}: holds more than {_MOST_FILES:,} files; name the folder of one recording")
-    read = (path for path in found if path.suffix.lower() in _EPISODE_FILES or _is_record(path))
+    read = (path for path in found if path.suffix.lower() in _EPISODE_FILES or is_shard(path.name))
     if link := next((path for path in read if path.is_symlink()), None):
         raise GuiderError(
             f"{link} is a symbolic link, which is not followed; put a copy in its place (cp -rL FOLDER COPY)"
         )
     return sorted((path for path in found if path.is_file()), key=lambda path: _natural(str(path.relative_to(folder))))
-
-
-def _is_record(path: Path) -> bool:
-    """By its name, NAME-SPLIT.tfrecord-00000-of-00007."""
-    return ".tfrecord" in path.name
 
 
 def _natural(text: str) -> list[tuple[int, str]]:

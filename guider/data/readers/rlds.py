@@ -7,38 +7,58 @@ checksum of that (4), the record, a checksum of it (4; not compared: most of a r
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from guider.data.safety import first_bytes, memory_fault
 from guider.data.store import Store, stacked
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 
-_HEAD = 12
+_HEAD, _GZIP = 12, b"\x1f\x8b"
 _STEPS = "steps/"
 _STEP_FLAGS = ("is_first", "is_last", "is_terminal")
 _VARINT, _EIGHT_BYTES, _COUNTED, _FOUR_BYTES = 0, 1, 2, 5
 """How the wire format of protocol buffers says how long a field is."""
+_SHARD = re.compile(r"\.tfrecord(?:-(\d+)-of-(\d+))?(?:\.gz)?$", re.IGNORECASE)
 _CRC_POLYNOMIAL, _CRC_MASK = 0x82F63B78, 0xA282EAD8
 """Of CRC-32C, and what TFRecord adds to it."""
+
+
+def is_shard(name: str) -> bool:
+    """Whether a file is called as RLDS's are: NAME-SPLIT.tfrecord-00000-of-00007."""
+    return _SHARD.search(name) is not None
 
 
 def is_rlds(path: Path) -> bool:
     """Whether a file is TFRecord: by its first record's length and that one's checksum."""
     head = first_bytes(path, _HEAD) if path.is_file() else b""
+    if head[:2] == _GZIP and is_shard(path.name):
+        return True  # and reading it says what to do
     return (
         len(head) == _HEAD and head != bytes(_HEAD) and _masked_checksum(head[:8]) == struct.unpack("<I", head[8:])[0]
     )
 
 
-def read_rlds(source: Path, files: Iterable[Path]) -> Store:
+def read_rlds(source: Path, files: Sequence[Path]) -> Store:
     """The episodes of the files in turn: `observation/state`, `action` and whatever else has numbers for each step.
 
-    Raises GuiderError for what is damaged, and for records that are no episodes.
+    Raises GuiderError for what is damaged, and for records that are no episodes. Warns where the files are those of
+    several splits, or not all of one.
     """
+    shards: dict[str, list[re.Match[str]]] = {}
+    for path in files:
+        if named := _SHARD.search(path.name):
+            shards.setdefault(path.name[: named.start()], []).append(named)
+    if len(shards) > 1:
+        warnings.warn(GuiderWarning(f"{source}: {', '.join(shards)} are read as one set of episodes"), stacklevel=2)
+    for split, found in shards.items():
+        if (whole := int(found[0][2] or 1)) > len(found):
+            warnings.warn(GuiderWarning(f"{source}: of {split}, {len(found)} of {whole} files are here"), stacklevel=2)
     return stacked(str(source), "RLDS", (episode for path in files for episode in _episodes(path)))
 
 
@@ -49,11 +69,13 @@ def _episodes(path: Path) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
             features = dict(_features(record))
         except (ValueError, IndexError, KeyError, OverflowError) as error:
             raise GuiderError(f"{path}: record {number} is damaged or holds no tf.train.Example") from error
-        steps = next((len(features[_STEPS + flag]) for flag in _STEP_FLAGS if _STEPS + flag in features), 0)
+        steps = next((len(features[_STEPS + flag]) for flag in _STEP_FLAGS if _STEPS + flag in features), None)
+        if steps == 0:
+            continue
         arrays = {
             key.removeprefix(_STEPS): values.reshape(steps, -1)
             for key, values in features.items()
-            if key.startswith(_STEPS) and steps and len(values) and len(values) % steps == 0
+            if key.startswith(_STEPS) and "/ragged_" not in key and steps and len(values) and len(values) % steps == 0
         }
         if not arrays:
             raise GuiderError(f"{path}: record {number} is no episode of RLDS, with steps/is_first and the like")
@@ -61,6 +83,8 @@ def _episodes(path: Path) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
 
 
 def _records(path: Path) -> Iterator[memoryview]:
+    if first_bytes(path, 2) == _GZIP:
+        raise GuiderError(f"{path} is gzipped; unpack it first (gunzip)")
     left = path.stat().st_size
     with path.open("rb") as file:
         while left:
