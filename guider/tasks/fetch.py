@@ -61,7 +61,7 @@ def _task(
         source="WGCSL (Yang et al. 2022)",
         make_env=partial(make_env, env_id),
         copies=20,  # 0.1 s to build, each
-        collector=Collector(partial(on_all_cores, record, recipe), episodes * (EPISODE_STEPS + 1), actors[data]),
+        collector=Collector(partial(on_all_cores, recipe, record=record), episodes * (EPISODE_STEPS + 1), actors[data]),
         places=np.atleast_2d,
         paper_score=paper_score,
     )

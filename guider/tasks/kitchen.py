@@ -111,7 +111,7 @@ def _task(data: str, noise: str, subtasks: tuple[str, ...], recorded_steps: int,
         source="D4RL kitchen",
         make_env=partial(make_env, goal, noise),
         copies=10,  # 80 MB and 0.2 s to build, each
-        collector=Collector(partial(on_all_cores, record, recipe), recorded_steps, "scripted demonstrations"),
+        collector=Collector(partial(on_all_cores, recipe, record=record), recorded_steps, "scripted demonstrations"),
         paper_score=paper_score if noise == "D4RL" else None,
     )
 

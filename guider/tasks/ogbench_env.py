@@ -38,4 +38,4 @@ def make_unwrapped(env_id: str, **settings: Any) -> Any:
 def collector(make_env: Callable[[], Any], data: Data, recipe: str) -> Collector:
     """Records by OGBench's protocol."""
     asked = Recipe(make_env, data.play, data.episode_steps)
-    return Collector(partial(on_all_cores, record, asked), data.episodes * data.episode_steps, recipe)
+    return Collector(partial(on_all_cores, asked, record=record), data.episodes * data.episode_steps, recipe)

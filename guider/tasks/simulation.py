@@ -113,6 +113,6 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def on_all_cores(record: Callable[..., Recording], recipe: Any, steps: int, seed: int, report: Report) -> Recording:
+def on_all_cores(recipe: Any, steps: int, seed: int, report: Report, *, record: Callable[..., Recording]) -> Recording:
     """What `record`, which takes the number of processes last, makes of a recipe."""
     return record(recipe, steps, seed, report, available_cores())

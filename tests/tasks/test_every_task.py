@@ -44,7 +44,7 @@ def test_all_of_the_papers_tasks_are_there_with_its_scores():
 def test_record_train_and_evaluate(name, tmp_path, monkeypatch):
     task = TASKS[name]
     assert task.collector is not None
-    monkeypatch.setattr("guider.tasks.fetch.available_cores", lambda: 1)  # more than one takes seconds to start
+    monkeypatch.setattr("guider.tasks.simulation.available_cores", lambda: 1)  # more than one takes seconds to start
     recording = task.collector.record(110, 0, lambda done, total: None)
     assert np.isfinite(recording.observations).all() and len(recording.observations) == 110
     write_d4rl(tmp_path / "data.hdf5", recording, task.goal_indices, task.radius, task.goal_parts)
