@@ -143,7 +143,7 @@ def entries(episodes: Episodes, kind: str) -> Figure:
     rows = canvas.thinned(rows[:, :_ENTRIES_SHOWN], _ROWS_SHOWN)
     lines = -(-rows.shape[1] // _COLUMNS)
     figure = canvas.new_figure("", (8.0, 1.4 * lines + 0.2))
-    panels: Sequence[Any] = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+    panels: Any = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
     for entry, axes in enumerate(panels):
         if entry >= rows.shape[1]:
             axes.remove()
