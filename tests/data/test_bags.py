@@ -14,7 +14,7 @@ from mcap_ros2.writer import Writer
 from guider.cli import main
 from guider.data import load
 from guider.data.readers import bags
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 
 JOINTS = "string[] name\nfloat64[] position\nfloat64[] velocity"
 TWIST = (
@@ -157,6 +157,13 @@ def test_a_bag_and_a_folder_of_them_are_logs(tmp_path, capsys):
     assert list(several.lengths) == [11, 15, 19] and several.goal_indices == (0,) and several.actions.shape == (45, 1)
     assert main(["data", "inspect", str(tmp_path), "--goal", "shoulder", "elbow"]) == 0
     assert "rate hz 4.0" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_one_recording_lacks_is_told(tmp_path):
+    drive(tmp_path / "a.mcap")
+    record(tmp_path / "b.mcap", [joints(k / 20, k / 20, -k / 20) for k in range(40)])
+    with pytest.warns(GuiderWarning, match=r"cmd_vel.linear.x \(not in b.mcap\)"), pytest.raises(GuiderError):
+        load(tmp_path, (0, 1))
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])

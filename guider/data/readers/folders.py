@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,7 @@ from guider.data.readers.files import open_file, refuse_others
 from guider.data.readers.rlds import is_shard, read_rlds
 from guider.data.readers.tables import read_parquet
 from guider.data.store import Store, in_memory, stacked, store_of
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.support.files import parse_json
 
 _EPISODE_FILES = {
@@ -59,6 +60,16 @@ def _bags(folder: Path, files: list[Path]) -> Store:
     stores = {place: read_mcap(place, paths) for place, paths in recordings.items()}
     if len(stores) == 1:
         return next(iter(stores.values()))
+    lacking = {
+        key: place.name
+        for store in stores.values()
+        for key in store.keys
+        for place in stores
+        if key not in stores[place].keys
+    }
+    if lacking:
+        listed = ", ".join(f"{key} (not in {name})" for key, name in list(lacking.items())[:6])
+        warnings.warn(GuiderWarning(f"{folder}: left out, as not every recording has it: {listed}"), stacklevel=2)
     return stacked(str(folder), "MCAP", ((place.name, in_memory(store)) for place, store in stores.items()))
 
 
