@@ -87,11 +87,15 @@ def data(
 
 def _page(description: dict[str, Any]) -> str:
     """The description for people to read: entries as a table, what is wrong last, then the verdict."""
+    from guider.data.describe import in_words
+
     shown = description | {"episode_ends": _end_signs(description["episode_ends"])}
     tables = _entries(shown)
     faults, verdict = shown.pop("faults"), shown.pop("verdict")
     lines = [
-        f"{name.replace('_', ' '):>20}  {_short(value)}" for name, value in shown.items() if value not in ([], {}, None)
+        f"{name.replace('_', ' '):>20}  {in_words(value)}"
+        for name, value in shown.items()
+        if value not in ([], {}, None)
     ]
     lines += [f"{'look at' if number == 0 else '':>20}  {fault}" for number, fault in enumerate(faults)]
     return "\n".join([*tables, "", *lines, f"{'verdict':>20}  {verdict}"])
@@ -126,13 +130,3 @@ def _end_signs(signs: list[dict[str, Any]]) -> str:
         for used in (True, False)
     )
     return taken + (f" (not taken: {others})" if others else "")
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_short(item)}" for name, item in value.items())
-    if isinstance(value, list) and value and isinstance(value[0], dict):
-        return "; ".join(map(_short, value))
-    if isinstance(value, list) and value and isinstance(value[0], str):
-        return ", ".join(value)
-    return str(value)

@@ -77,6 +77,17 @@ def describe(episodes: Episodes) -> dict[str, Any]:
     }
 
 
+def in_words(value: Any) -> str:
+    """A value of a description in a line, for people to read."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {in_words(item)}" for name, item in value.items())
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return "; ".join(map(in_words, value))
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        return ", ".join(value)
+    return str(value)
+
+
 def _verdict(faults: list[str], candidates: list[int]) -> str:
     if not candidates:
         return "would not train on this: no entry moves and ends at different values, so there is nothing to aim at"

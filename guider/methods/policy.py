@@ -119,9 +119,9 @@ class Agent:
         """The action for this step. Raises GuiderError if shapes or values do not fit the policy. Warns where it knows
         of no way to the goal, and heads for the place nearest to it that one leads to."""
         seen = _vector(observation, self.policy.logged_dim, "observation")
-        seen = _vector(
-            extended(seen, self.policy.computed), self.policy.state_dim, "what is computed of the observation"
-        )
+        if self.policy.computed:
+            complete = extended(seen, self.policy.computed)
+            seen = _vector(complete, self.policy.state_dim, "what is computed of the observation")
         aim = _vector(goal, self.policy.goal_dim, "goal")
         self._tell_of_what_is_far_off(seen, aim)
         self._tell_of_a_dead_end(seen, aim)

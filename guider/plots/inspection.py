@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from guider.data.describe import in_words
 from guider.data.episodes import Episodes, entry_name
 from guider.plots import canvas
 
@@ -88,13 +89,7 @@ def _entry_lines(description: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
 
 
 def _line(cells: Sequence[Any]) -> str:
-    return f"<tr>{''.join(f'<td>{html.escape(_said(cell))}</td>' for cell in cells)}</tr>"
-
-
-def _said(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_said(item)}" for name, item in value.items())
-    return "; ".join(map(_said, value)) if isinstance(value, list) else str(value)
+    return f"<tr>{''.join(f'<td>{html.escape(in_words(cell))}</td>' for cell in cells)}</tr>"
 
 
 def lengths_and_travel(episodes: Episodes, description: dict[str, Any]) -> Figure:
