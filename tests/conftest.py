@@ -120,11 +120,15 @@ def fast_config() -> GuiderConfig:
 
 @contextmanager
 def compiled_for_long() -> Iterator[None]:
-    """Within, programs are compiled to run for a while."""
+    """Within, programs are compiled to run for a while; none is left over, as JAX does not tell these from the others,
+    and what is compared with another process to the bit must be compiled as it is there."""
     before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", False)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+        jax.clear_caches()
 
 
 @pytest.fixture
