@@ -19,9 +19,10 @@ import h5py
 import numpy as np
 
 from drills.common import GOAL, Answer, Drill, Outcome, ask, collect, d4rl, guider, succeed, training, walk
+from drills.layouts import LAYOUTS
 
 Arrays = dict[str, np.ndarray]
-KINDS = ("npz", "ogbench", "d4rl", "hdf5", "minari", "wgcsl2", "wgcsl4", "run.json", "maze")
+KINDS = ("npz", "ogbench", "d4rl", "hdf5", "minari", "wgcsl2", "wgcsl4", *LAYOUTS, "run.json", "maze")
 MAZE = "########\n#S.#...#\n#.##.#.#\n#....#.#\n#.##.#G#\n########\n"
 
 
@@ -37,6 +38,8 @@ def prepare(folder: Path) -> Scene:
     files = {kind: folder / kind for kind in KINDS}
     for kind in WRITERS:
         WRITERS[kind](files[kind], sound(kind))
+    for kind, write in LAYOUTS.items():
+        write(files[kind])
     minari = collect_minari(folder / "collected")
     minari.rename(files["minari"])
     data = collect(folder / "data.hdf5", 2000)
@@ -217,13 +220,12 @@ def mutant(scene: Scene, kind: str, rng: random.Random, folder: Path) -> tuple[P
         shutil.copytree(sound_file, path)
     else:
         shutil.copy(sound_file, path)
-    target = path
     if kind == "run.json":
         target = path / "run.json"
-    elif kind == "minari":
-        target = path / "data" / rng.choice(("main_data.hdf5", "main_data.hdf5", "metadata.json"))
-        if target.suffix == ".hdf5" and rng.random() < 0.5:
-            return path, mutate_hdf5(target, rng)
+    else:
+        target = rng.choice(sorted(filter(Path.is_file, path.rglob("*")))) if path.is_dir() else path
+    if h5py.is_hdf5(target) and rng.random() < 0.5:
+        return path, mutate_hdf5(target, rng)
     if target.suffix == ".json" and rng.random() < 0.7:
         target.write_text(json.dumps(mutate_json(json.loads(target.read_text()), rng)))
         return path, "json"
