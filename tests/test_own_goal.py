@@ -53,6 +53,11 @@ def test_angles_are_on_their_circle_by_hand():
         with_goals(arm(), ("angle:wrist",))
 
 
+def test_what_was_computed_is_not_written_without_a_word(tmp_path):
+    with pytest.warns(guider.GuiderWarning, match="leave --goal out here"):
+        guider.save_data(with_goals(arm(), ("angle:shoulder",)), tmp_path / "logs.npz")
+
+
 def test_functions_of_ones_own_by_hand(own):
     straight = np.array([[0, 0, 1, 0, 0, 0], [np.pi / 2, 0, -1, 0, 0, 0], [0, np.pi / 2, 0, 0, 0, 2]], np.float32)
     for states in (straight, jnp.asarray(straight)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from guider.data.episodes import Episodes
 from guider.data.store import Recording
 from guider.data.write import FLAG_BYTES_PER_ROW, in_new_place, write_d4rl, write_minari, write_npz, write_ogbench
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 from guider.support.extras import extra
 
 LAYOUTS: Mapping[str, str] = {
@@ -54,6 +55,12 @@ def save(
         raise GuiderError(f"{path} exists already and is never overwritten; choose another name")
     if not fps > 0:
         raise GuiderError(f"--fps must be a number above 0, got {fps}")
+    if episodes.computed:
+        message = (
+            f"{path}: what was computed for the goal is written as if it had been logged; leave --goal out here and give "
+            "it to `guider train`, for a policy that computes it itself"
+        )
+        warnings.warn(GuiderWarning(message), stacklevel=2)
     recording = _recording(episodes)
     if layout == "d4rl":
         write_d4rl(path, recording, episodes.goal_indices, radius=0.0)

@@ -99,6 +99,11 @@ def test_who_speaks_too_seldom_is_no_clock():
     assert begun["timestamp"][0] == pytest.approx(2.1), "rows begin once all have spoken"
 
 
+def test_topics_that_a_slash_tells_apart_stay_apart():
+    found, _ = bags.table({"/a": say(a=OFTEN)["a"], "a": say(a=OFTEN)["a"], "/b": say(b=OFTEN)["b"]})
+    assert set(found) == {"timestamp", "/a.x", "a.x", "b.x"}
+
+
 @pytest.mark.parametrize("times", [[9.0, 9.5], [0.1 * k for k in range(30)], [6.0 + 0.1 * k for k in range(40)]])
 def test_who_speaks_for_a_part_only_is_left_out_and_told(times):
     """Late, at the beginning, and at the end: held for the rest, what it said would be wrong."""
@@ -186,6 +191,14 @@ def test_what_says_no_numbers_is_told(tmp_path):
     path = record(tmp_path / "a.mcap", [(0.0, "/note", "std_msgs/String", NOTE, {"data": "hello"})])
     with pytest.raises(GuiderError, match=r"no topic says numbers that can be read; its topics are /note"):
         load(path, (0,))
+
+
+def test_a_recording_in_which_nothing_was_said_is_left_out(tmp_path):
+    for name in "ac":
+        drive(tmp_path / f"{name}.mcap")
+    record(tmp_path / "b.mcap", [])
+    with pytest.warns(GuiderWarning, match=r"left out: .*b.mcap: no topic says numbers"):
+        assert list(load(tmp_path, (0, 1)).lengths) == [11, 11]
 
 
 def test_memory_is_asked_for_first(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warnings
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from numbers import Real
 from pathlib import Path
@@ -36,6 +37,10 @@ _NUMBERS_BETWEEN_LOOKS = 2**20
 _BYTES_PER_NUMBER = 16
 
 
+class NothingSaidError(GuiderError):
+    """A sound recording in which no topic says numbers."""
+
+
 class Column(NamedTuple):
     """What was said of one number. times: nanoseconds, in order; values: as many."""
 
@@ -58,7 +63,8 @@ def read_mcap(source: Path, files: Sequence[Path]) -> Store:
     """Columns `timestamp`, seconds, and `topic.field.field` of one recording, its files in turn; entries of a list go
     by the names that the message has for them, as joints do, or else by number. Needs the extra `ros`.
 
-    Raises GuiderError for what is damaged, and where no topic says numbers. Warns of topics that are left out.
+    Raises GuiderError for what is damaged, and NothingSaidError where no topic says numbers. Warns of topics that are
+    left out.
     """
     topics: dict[str, Topic] = {}
     for path in files:
@@ -66,7 +72,7 @@ def read_mcap(source: Path, files: Sequence[Path]) -> Store:
     spoken = {name: topic for name, topic in topics.items() if topic.columns}
     if not spoken:
         heard = f"; its topics are {', '.join(sorted(topics)[:12])}" if topics else ""
-        raise GuiderError(f"{source}: no topic says numbers that can be read{heard}")
+        raise NothingSaidError(f"{source}: no topic says numbers that can be read{heard}")
     columns, partial = table(spoken)
     if partial:
         listed = "; ".join(f"{name} ({why})" for name, why in sorted(partial.items()))
@@ -95,12 +101,14 @@ def table(topics: dict[str, Topic]) -> tuple[dict[str, np.ndarray], dict[str, st
         silence = rows - times[name][np.maximum(before, 0)]
         rows = rows[silence <= max(_SILENT_SPACINGS * spacing[name], _SILENT_S * 1e9)]
     middle = times[clock][len(times[clock]) // 2]
+    bare = Counter(name.strip("/") for name in heard)
     columns: dict[str, Column] = {}
     for name, topic in heard.items():
         if times[name][0] > middle:
             partial[name] = f"it speaks from {(times[name][0] - began) * 1e-9:.3g} s on only"
             continue
-        columns |= {f"{name.strip('/')}.{field}": column for field, column in topic.columns.items()}
+        stem = name.strip("/") if bare[name.strip("/")] == 1 else name
+        columns |= {f"{stem}.{field}": column for field, column in topic.columns.items()}
     rows = rows[rows >= max(column.times[0] for column in columns.values())]
     found: dict[str, np.ndarray] = {"timestamp": rows * 1e-9}
     for name, column in columns.items():

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from guider.data.readers.bags import read_mcap
+from guider.data.readers.bags import NothingSaidError, read_mcap
 from guider.data.readers.files import open_file, refuse_others
 from guider.data.readers.rlds import is_shard, read_rlds
 from guider.data.readers.tables import read_parquet
@@ -57,7 +57,17 @@ def _bags(folder: Path, files: list[Path]) -> Store:
     recordings: dict[Path, list[Path]] = {}
     for path in files:
         recordings.setdefault(path.parent if (path.parent / "metadata.yaml").is_file() else path, []).append(path)
-    stores = {place: read_mcap(place, paths) for place, paths in recordings.items()}
+    stores: dict[Path, Store] = {}
+    silent: list[NothingSaidError] = []
+    for place, paths in recordings.items():
+        try:
+            stores[place] = read_mcap(place, paths)
+        except NothingSaidError as error:
+            silent.append(error)
+    if not stores:
+        raise silent[0]
+    for error in silent:
+        warnings.warn(GuiderWarning(f"left out: {error}"), stacklevel=2)
     if len(stores) == 1:
         return next(iter(stores.values()))
     lacking = {
