@@ -34,8 +34,8 @@ def stale(mutation: Mutation) -> bool:
 
 
 def copy(folder: Path) -> Path:
-    """A copy of the package and its tests, in a folder that is made."""
-    for name in ("guider", "tests"):
+    """A copy of the package, its tests and what they read, in a folder that is made."""
+    for name in ("guider", "tests", "docs"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
