@@ -3,9 +3,9 @@
 python -m benchmarks.judging [--scale S] [--json]
 
 On each of two tasks, policies are trained as on one's own data, with budgets from far too few updates on, and judged
-twice: by `imagined_success`, which sees logs alone, and by success in the simulator on starts and goals such as the
-logs have. The named baseline is the favourite of imitation, `action_error`. Printed is Spearman's rank correlation of
-each with the simulator.
+by what sees logs alone, `imagined_success` and `fitted_value`, and by success in the simulator on starts and goals such
+as the logs have. The named baseline is the favourite of imitation, `action_error`. Printed is Spearman's rank
+correlation of each with the simulator.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from scipy.stats import rankdata
 import guider
 from benchmarks.common import print_table
 from guider.data.write import write_d4rl
+from guider.evaluation.fitted import fitted_value
 from guider.evaluation.heldout import held_out_scores
 from guider.evaluation.imagined import fit_model, imagined_scores
 from guider.evaluation.rollouts import rollout
@@ -33,6 +34,8 @@ from guider.tasks.types import Task
 
 TASKS = {"pointmaze-umaze": 40_000, "fetch-reach-mixed": 40_000}
 """Steps of data recorded for each, with seed 7."""
+SCORES = {"imagined_success": 1, "fitted_value": 1, "action_error": -1}
+"""What ranks policies, and whether more of it is better."""
 HELD_OUT, EPISODES, FIRST_SEED = 0.1, 60, 3_000_000
 
 
@@ -94,6 +97,7 @@ def judged(name: str, steps: int, scale: float, folder: Path) -> list[dict[str, 
                 "policy": f"{method} {' '.join(map(str, settings.values()))}",
                 "success": float(rollout(policy, task, EPISODES, FIRST_SEED).success.mean()),
                 **imagined_scores(policy, model, training, unseen),
+                "fitted_value": fitted_value(policy, training, unseen),
                 "action_error": held_out_scores(policy, unseen)["action_error"],
             }
         )
@@ -116,26 +120,17 @@ def main() -> None:
         for name, steps in TASKS.items():
             rows = judged(name, steps, arguments.scale, Path(folder))
             success = [row["success"] for row in rows]
-            by_model = _rank_correlation([row["imagined_success"] for row in rows], success)
-            by_imitation = _rank_correlation([-row["action_error"] for row in rows], success)
-            summary.append(
-                {
-                    "task": name,
-                    "policies": len(rows),
-                    "imagined_success": float(by_model),
-                    "action_error": float(by_imitation),
-                }
-            )
+            ranks = {
+                score: _rank_correlation([sign * row[score] for row in rows], success) for score, sign in SCORES.items()
+            }
+            summary.append({"task": name, "policies": len(rows)} | ranks)
     if arguments.json:
         print(json.dumps(summary))
         return
     print_table(
         "rank correlation with success in the simulator",
-        ("task", "policies", "by imagined success", "by action error"),
-        [
-            (row["task"], str(row["policies"]), f"{row['imagined_success']:.2f}", f"{row['action_error']:.2f}")
-            for row in summary
-        ],
+        ("task", "policies", *(f"by {score}" for score in SCORES)),
+        [(row["task"], str(row["policies"]), *(f"{row[score]:.2f}" for score in SCORES)) for row in summary],
     )
 
 

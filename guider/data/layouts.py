@@ -57,8 +57,8 @@ def save(
         raise GuiderError(f"--fps must be a number above 0, got {fps}")
     if episodes.computed:
         message = (
-            f"{path}: what was computed for the goal is written as if it had been logged; leave --goal out here and give "
-            "it to `guider train`, for a policy that computes it itself"
+            f"{path}: what was computed for the goal is written as if it had been logged; leave --goal out here and "
+            "give it to `guider train`, for a policy that computes it itself"
         )
         warnings.warn(GuiderWarning(message), stacklevel=2)
     recording = _recording(episodes)

@@ -186,7 +186,7 @@ def imagined_episodes(policy: Policy, model: Model, training: Episodes, unseen: 
     problem = policy.config.problem
     logged = KDTree(training.achieved)
     apart = float(np.quantile(logged.query(unseen.achieved)[0], 0.999))
-    starts, goals = _pairs(unseen, 2 * problem.radius, problem.goal_parts)
+    starts, goals = starts_and_goals(unseen, 2 * problem.radius, problem.goal_parts)
     steps = min(_LONGEST_STEPS, _EPISODE_LENGTHS * int(training.lengths.max()))
     found = imagine(policy, model, jnp.asarray(starts), jnp.asarray(goals), steps)
     places, subgoals, renewed = (np.asarray(part) for part in found)
@@ -236,7 +236,7 @@ def model_error(model: Model, unseen: Episodes, period_steps: int) -> float | No
     return float(np.sqrt(np.mean(error**2) / max(float(np.mean(way**2)), 1e-30)))
 
 
-def _pairs(unseen: Episodes, least: float, goal_parts: Any) -> tuple[np.ndarray, np.ndarray]:
+def starts_and_goals(unseen: Episodes, least: float, goal_parts: Any) -> tuple[np.ndarray, np.ndarray]:
     """(starts [B, S], goals [B, G]): where episodes begin, and where others end, further off than `least`; where there
     are none such, those that are furthest."""
     rng = np.random.default_rng(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -32,6 +33,8 @@ def make_unwrapped(env_id: str, **settings: Any) -> Any:
         warnings.simplefilter("ignore")  # of a screen that is not there
         import ogbench  # noqa: F401  (it registers its environments)
     warnings.filterwarnings("ignore", ".*precision lowered by casting")  # of its action spaces, at every reset
+    warnings.filterwarnings("ignore", ".*DISPLAY environment variable")
+    logging.getLogger("absl").setLevel(logging.ERROR)  # the arm's inverse kinematics warn of a search that goes on
     return gymnasium.make(env_id, disable_env_checker=True, **settings).unwrapped
 
 

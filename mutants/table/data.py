@@ -87,7 +87,6 @@ TABLE: Table = {
     "guider/data/readers/rlds.py": [
         ("crc >> 15 | crc << 17", "crc >> 17 | crc << 15", "data/test_rlds.py"),
         (' and "/ragged_" not in key', "", "data/test_rlds.py"),
-        ("rows[:, 0] if rows.shape[1] == 1 else rows", "rows", "data/test_rlds.py"),
         ("np.array(found, np.uint64).astype(np.int64)", "np.array(found, np.uint64)", "data/test_rlds.py"),
         ("(byte & 0x7F) << shift", "byte << shift", "data/test_rlds.py"),
         ('int.from_bytes(part, "little")', 'int.from_bytes(part, "big")', "data/test_rlds.py"),

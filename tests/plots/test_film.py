@@ -98,9 +98,9 @@ def test_long_episodes_are_thinned_and_methods_without_subgoals_filmed(tmp_path,
     monkeypatch.setattr(films, "MOST_FRAMES", 3)
     config = replace(preset_config("bc", "fast", small_config().problem), hidden=(8,))
     shown = []
-    monkeypatch.setattr(films, "marks", lambda task, way, subgoal, goal: shown.append(subgoal) or [])
+    monkeypatch.setattr(films, "marks", lambda task, way, subgoal, goal: shown.append((len(way) - 1, subgoal)) or [])
     film(policy_for(logs(2), "bc", config), SHORT, tmp_path / "a.gif", 1, 0, SMALL)
-    assert len(shown) == 4 and shown[0] is None, "steps 0, 2, 4 and 6"
+    assert shown == [(0, None), (2, None), (4, None), (6, None)]
 
 
 @pytest.mark.usefixtures("drawing")

@@ -79,7 +79,7 @@ def _episodes(path: Path) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
         }
         if not arrays:
             raise GuiderError(f"{path}: record {number} is no episode of RLDS, with steps/is_first and the like")
-        yield name, {key: rows[:, 0] if rows.shape[1] == 1 else rows for key, rows in arrays.items()}
+        yield name, arrays
 
 
 def _records(path: Path) -> Iterator[memoryview]:
