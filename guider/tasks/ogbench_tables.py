@@ -5,13 +5,14 @@
 
 A goal here is what the objects shall be, its entries those of the state that say it: positions of cubes (10 to the
 metre, as OGBench's observations have them), which buttons are on, how far drawer and window are open. OGBench shows its
-agents a whole state instead, in which the arm is somewhere too, and calls this goal the oracle's; where the arm ends is
-of no account in either. Success is OGBench's.
+agents a whole state instead, in which the arm is somewhere too, and calls this goal the oracle's: `-states` in a task's
+name is for that. Where the arm ends is of no account in either. Success is OGBench's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -31,6 +32,8 @@ CUBE_ENTRIES, BUTTON_ENTRIES = 9, 4
 CENTRE_M = (0.425, 0.0, 0.0)
 UNITS_TO_METRE = 10.0
 CUBE_RADIUS_M, SLIDE_RADIUS_M = 0.04, 0.04
+Goal = Callable[[Any, np.ndarray], np.ndarray]
+"""(table that has just been reset, the state [S] it shows as its goal) -> [G] what is to be reached."""
 DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE = 18.0, 15.0
 
 
@@ -40,15 +43,18 @@ class FiveGoals(gymnasium.Wrapper):
     Observations are dicts for guider.tasks.gym_env.read_goal_observation.
     """
 
-    def __init__(self, table: Any, goal: Any):
-        """goal: (table) -> [G] what the objects shall be."""
+    def __init__(self, table: Any, goal: Goal):
+        # A table makes another space whenever it is asked, which no seed reaches; its goal's random steps are drawn
+        # from it.
+        space = gymnasium.spaces.Box(-1.0, 1.0, (5,))
+        table.__class__ = type(type(table).__name__, (type(table),), {"action_space": space})
         super().__init__(table)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (5,))
         self._goal = goal
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         assert seed is not None
         table: Any = self.env
+        table.action_space.seed(seed)
         _, info = table.reset(seed=seed, options={"task_id": 1 + seed % GOALS})
         # On its way it has shown itself the goal and taken random steps there: what these left behind, but for the
         # state, would be of chance.
@@ -58,7 +64,7 @@ class FiveGoals(gymnasium.Wrapper):
         table.data.mocap_pos[:], table.data.mocap_quat[:] = places
         table.set_state(qpos, qvel, *_button_states(table))
         table.pre_step()
-        self._desired = self._goal(table)
+        self._desired = self._goal(table, info["goal"])
         return self._observe(table.compute_observation()), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -73,27 +79,32 @@ def _button_states(table: Any) -> tuple[np.ndarray, ...]:
     return (table._cur_button_states.copy(),) if hasattr(table, "_cur_button_states") else ()
 
 
-def make_env(env_id: str, goal: Any) -> gymnasium.Env:
+def make_env(env_id: str, goal: Goal) -> gymnasium.Env:
     """Raises GuiderError without OGBench."""
     return FiveGoals(make_unwrapped(env_id, terminate_at_goal=False), goal)
 
 
-def cubes_goal(table: Any) -> np.ndarray:
+def cubes_goal(table: Any, shown: np.ndarray) -> np.ndarray:
     """[3 * cubes]: where the cubes shall be."""
     places = np.array([table.data.mocap_pos[target] for target in table._cube_target_mocap_ids])
     return (UNITS_TO_METRE * (places - CENTRE_M)).reshape(-1)
 
 
-def buttons_goal(table: Any) -> np.ndarray:
+def buttons_goal(table: Any, shown: np.ndarray) -> np.ndarray:
     """[buttons]: 1 where a button shall be on, else 0."""
     return table._target_button_states.astype(float)
 
 
-def scene_goal(table: Any) -> np.ndarray:
+def scene_goal(table: Any, shown: np.ndarray) -> np.ndarray:
     """[7]: where the cube shall be (3), which of two buttons shall be on, how far drawer and window shall be open."""
     drawer_m, window_m = table._target_drawer_pos, table._target_window_pos
     opened = [DRAWER_UNITS_TO_METRE * drawer_m, WINDOW_UNITS_TO_METRE * window_m]
-    return np.concatenate([cubes_goal(table), buttons_goal(table), opened])
+    return np.concatenate([cubes_goal(table, shown), buttons_goal(table, shown), opened])
+
+
+def whole_state(table: Any, shown: np.ndarray) -> np.ndarray:
+    """[S]: the state that OGBench shows its agents."""
+    return shown.copy()
 
 
 def cube_places(goal: np.ndarray) -> np.ndarray:
@@ -101,9 +112,9 @@ def cube_places(goal: np.ndarray) -> np.ndarray:
     return goal.reshape(-1, 3) / UNITS_TO_METRE + CENTRE_M
 
 
-def _cube_task(name: str, cubes: int, kind: TableKind, horizon_steps: int, episodes: int) -> Task:
+def _cube_tasks(name: str, cubes: int, kind: TableKind, horizon_steps: int, episodes: int) -> tuple[Task, Task]:
     first = [ARM_ENTRIES + CUBE_ENTRIES * cube for cube in range(cubes)]
-    return _task(
+    return _both(
         f"cube-{name}",
         kind,
         f"an arm puts {cubes} cube{'s' * (cubes > 1)} where they shall be",
@@ -118,9 +129,9 @@ def _cube_task(name: str, cubes: int, kind: TableKind, horizon_steps: int, episo
     )
 
 
-def _puzzle_task(rows: int, columns: int, kind: TableKind) -> Task:
+def _puzzle_tasks(rows: int, columns: int, kind: TableKind) -> tuple[Task, Task]:
     buttons = rows * columns
-    return _task(
+    return _both(
         f"puzzle-{rows}x{columns}",
         kind,
         f"an arm presses {buttons} buttons, each of which turns its neighbours too",
@@ -135,12 +146,12 @@ def _puzzle_task(rows: int, columns: int, kind: TableKind) -> Task:
     )
 
 
-def _scene_task(kind: TableKind) -> Task:
+def _scene_tasks(kind: TableKind) -> tuple[Task, Task]:
     buttons = ARM_ENTRIES + CUBE_ENTRIES
     slides = buttons + 2 * BUTTON_ENTRIES
     slide_radii = tuple(SLIDE_RADIUS_M * units for units in (DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE))
     radius = UNITS_TO_METRE * CUBE_RADIUS_M
-    return _task(
+    return _both(
         "scene",
         kind,
         "an arm sees to a cube, a drawer and a window, and to the two buttons that lock them",
@@ -155,7 +166,7 @@ def _scene_task(kind: TableKind) -> Task:
     )
 
 
-def _task(
+def _both(
     name: str,
     kind: TableKind,
     summary: str,
@@ -165,15 +176,17 @@ def _task(
     radius: float,
     part_radii: tuple[float, ...] = (),
     state_dim: int,
-    goal: Any,
+    goal: Goal,
     places: Callable[[np.ndarray], np.ndarray] | None = None,
     horizon_steps: int,
     data: Data,
     period_steps: int = 25,
-) -> Task:
+) -> tuple[Task, Task]:
+    """The task whose goals are what objects shall be, and the one whose goals are whole states, of which the same
+    counts."""
     env_id = f"{name}-v0"
     make_table = partial(make_unwrapped, env_id, terminate_at_goal=False, mode="data_collection")
-    return Task(
+    task = Task(
         name=f"ogbench-{name}-{kind}-v0",
         summary=summary,
         domain=f"ogbench-{name.split('-')[0]}",
@@ -194,13 +207,25 @@ def _task(
         collector=collector(make_table, data, f"OGBench's {kind} oracles"),
         places=places,
     )
+    objects = list(goal_indices)
+    whole = replace(
+        task,
+        name=f"ogbench-{name}-{kind}-states-v0",
+        summary=f"{summary}, shown a whole state",
+        goal_indices=tuple(range(state_dim)),
+        goal_parts=tuple(tuple(objects[entry] for entry in part) for part in goal_parts),
+        environment=f"OGBench {env_id} in MuJoCo {mujoco.__version__}, goals are whole states",
+        make_env=partial(GymVectorEnv, partial(make_env, env_id, whole_state)),
+        places=None if places is None else lambda goal: places(goal[objects]),
+    )
+    return task, whole
 
 
 _KINDS: tuple[TableKind, ...] = ("play", "noisy")
 
-TABLE_TASKS = (
+_PAIRS = (
     *(
-        _cube_task(name, cubes, kind, horizon_steps, episodes)
+        _cube_tasks(name, cubes, kind, horizon_steps, episodes)
         for name, cubes, horizon_steps, episodes in (
             ("single", 1, 200, 1_000),
             ("double", 2, 500, 1_000),
@@ -208,6 +233,7 @@ TABLE_TASKS = (
         )
         for kind in _KINDS
     ),
-    *(_scene_task(kind) for kind in _KINDS),
-    *(_puzzle_task(rows, columns, kind) for rows, columns in ((3, 3), (4, 4)) for kind in _KINDS),
+    *(_scene_tasks(kind) for kind in _KINDS),
+    *(_puzzle_tasks(rows, columns, kind) for rows, columns in ((3, 3), (4, 4)) for kind in _KINDS),
 )
+TABLE_TASKS = tuple(task for tasks in zip(*_PAIRS, strict=True) for task in tasks)

@@ -15,7 +15,7 @@ from guider.errors import GuiderError
 from guider.tasks import find_task
 from guider.tasks.ogbench_tables import TABLE_TASKS, cubes_goal, make_env
 
-ENVIRONMENTS = [task for task in TABLE_TASKS if "-play-" in task.name]
+ENVIRONMENTS = [task for task in TABLE_TASKS if "-play-v0" in task.name]
 
 
 @pytest.mark.parametrize("task", ENVIRONMENTS, ids=lambda task: task.name)
@@ -85,7 +85,24 @@ def test_goals_are_taken_in_turn_and_an_episode_is_determined_by_its_seed():
 def test_every_kind_of_data_of_these_tables_has_a_task():
     tables = "cube-single", "cube-double", "cube-triple", "scene", "puzzle-3x3", "puzzle-4x4"
     published = {name for name in CATALOGUE if name.startswith(tables) and name.endswith("-v0")}
-    assert {task.name.removeprefix("ogbench-") for task in TABLE_TASKS} == published
+    tasks = {task.name.removeprefix("ogbench-").replace("-states", "") for task in TABLE_TASKS}
+    assert tasks == published and len(TABLE_TASKS) == 2 * len(published)
+
+
+def test_whole_states_may_be_goals_and_the_same_counts():
+    """An episode is the same whichever goal is shown; the whole one holds the other, and as much of it must be met."""
+    pytest.importorskip("ogbench")
+    objects, whole = (find_task(f"ogbench-scene-play-{states}v0") for states in ("", "states-"))
+    (seen, goals), (seen_whole, shown) = (roll(task, np.arange(2), 4) for task in (objects, whole))
+    np.testing.assert_array_equal(seen.observations, seen_whole.observations)
+    assert shown.shape == (2, whole.state_dim)
+    np.testing.assert_allclose(shown[:, list(objects.goal_indices)], goals, atol=0.05)
+    np.testing.assert_array_equal(roll(whole, np.arange(2), 2)[1], shown)
+    assert whole.goal_parts == ((19, 20, 21), (29,), (33,), (36,), (38,)) and whole.part_radii == objects.part_radii
+    cubes, states = (find_task(f"ogbench-cube-double-play-{of}v0") for of in ("", "states-"))
+    assert cubes.places and states.places
+    goal = np.arange(states.state_dim) / 10
+    np.testing.assert_allclose(states.places(goal), cubes.places(goal[list(cubes.goal_indices)]))
 
 
 def test_without_ogbench_the_package_is_named(monkeypatch):
