@@ -43,7 +43,8 @@ def copy(folder: Path) -> Path:
 
 def run(tests: Sequence[str], folder: Path, *options: str) -> tuple[str, str]:
     """(outcome, pytest's output) of tests in a copy."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", *options]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *options]
+    command += ["--hypothesis-seed=0", "--hypothesis-profile=first example"]
     own = {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}  # bytecode is told apart by size and second alone
     try:
         done = subprocess.run(

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -37,6 +38,10 @@ from guider.tasks import Task
 
 MODEL_UPDATES, imagined.UPDATES = imagined.UPDATES, 20
 """Held-out scores learn a model of the robot, which takes a while; what it is worth, its own tests say."""
+
+_PHASES = hypothesis.Phase.explicit, hypothesis.Phase.reuse, hypothesis.Phase.generate
+hypothesis.settings.register_profile("first example", phases=_PHASES)
+"""For whoever wants to know only that a test fails: no simpler example is looked for."""
 
 pytest_plugins = ["recordings", "served", "small_runs"]
 """Where fixtures stand that several files use."""
