@@ -13,7 +13,6 @@ from guider.collect.fetch_experts import ACTION_DIM, Expert
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
-from guider.errors import GuiderError
 
 EPISODE_STEPS = 50
 NOISE_SPREAD = 0.1
@@ -43,10 +42,7 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
 
     What happens in episode n is determined by (seed, n) and by whether it is the expert's: equal recipes, steps and
     seeds give equal recordings, whatever the number of cores. report: called with (rows done, rows in all).
-    Raises GuiderError if `steps` is below 2.
     """
-    if steps < 2:
-        raise GuiderError(f"cannot record {steps} steps: an episode needs at least two")
     rows = EPISODE_STEPS + 1
     episodes = -(-steps // rows)
     batches = np.array_split(np.arange(episodes), -(-episodes // EPISODES_AT_ONCE))

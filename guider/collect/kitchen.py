@@ -13,7 +13,6 @@ from guider.collect.kitchen_demos import EPISODE_STEPS, Chain, demonstrate
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
-from guider.errors import GuiderError
 from guider.goals import Parts, part_distances
 
 DEMOS_AT_ONCE = 8
@@ -77,10 +76,8 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     """Record `steps` rows by `recipe` in `cores` worker processes. The last episode is cut short where they are full.
 
     Demonstration n is determined by (seed, n): equal recipes, steps and seeds give equal recordings, whatever the
-    number of cores. report: called with (rows done, rows in all). Raises GuiderError if `steps` is below 2.
+    number of cores. report: called with (rows done, rows in all).
     """
-    if steps < 2:
-        raise GuiderError(f"cannot record {steps} steps: an episode needs at least two")
     make = partial(_demonstrations, recipe, seed)
     demos: list[tuple[np.ndarray, np.ndarray]] = []
     number, rows = 0, 0

@@ -11,7 +11,6 @@ import numpy as np
 
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
-from guider.errors import GuiderError
 
 if TYPE_CHECKING:  # guider.tasks imports this module
     from guider.tasks.mazes import Maze
@@ -99,10 +98,7 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     """Record `steps` rows by `recipe`. The last episode is cut short if that is no multiple of `episode_steps`.
 
     Equal arguments give equal recordings, whatever the number of cores. report: called with (rows done, rows in all).
-    Raises GuiderError if `steps` is below 2.
     """
-    if steps < 2:
-        raise GuiderError(f"cannot record {steps} steps: an episode needs at least two")
     episodes = -(-steps // recipe.episode_steps)
     seeds = np.random.SeedSequence(seed).generate_state(episodes, np.uint64)
     guide = Guide(recipe.maze, recipe.centre_to_centre)

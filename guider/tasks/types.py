@@ -74,7 +74,7 @@ class Visible(Protocol):
 class Collector:
     """How data for a task is made on this machine.
 
-    record: (steps, seed, report) -> what was recorded, the same for equal steps and seed
+    record: (steps, 2 or more, seed, report) -> what was recorded, the same for equal steps and seed
     steps:  rows recorded unless the user says otherwise
     recipe: in a few words, who acts
     """

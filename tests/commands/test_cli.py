@@ -95,6 +95,7 @@ def test_evaluation_during_training_changes_nothing(recorded, tmp_path):
         (["collect", "antmaze-large-play", "--out", "x.hdf5"], "cannot be collected here"),
         (["collect", "nothing", "--out", "x.hdf5"], "there is no task 'nothing'"),
         (["collect", "pointmaze-umaze", "--seed", "-1", "--out", "x.hdf5"], "--seed at least 0"),
+        (["collect", "pointmaze-umaze", "--steps", "1", "--out", "x.hdf5"], "--steps must be at least 2"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes must be 1 or more"),
         (["train", "pointmaze-umaze", "--data", "x", "--seeds", "0"], "--seeds must be 1 or more"),
         (["train", "pointmaze-umaze", "--data", "x", "--set", "problem.radius=3"], "problem.radius is no setting"),
