@@ -27,7 +27,7 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")
 import jax
 
 from guider.data.episodes import Episodes, make_episodes
-from guider.evaluation import imagined
+from guider.evaluation import fitted, imagined
 from guider.learning.problem import Problem
 from guider.learning.training import init_seeds, train
 from guider.methods import METHODS
@@ -36,8 +36,8 @@ from guider.methods.view import prepare
 from guider.support.config import flatten, override, to_dict
 from guider.tasks import Task
 
-MODEL_UPDATES, imagined.UPDATES = imagined.UPDATES, 20
-"""Held-out scores learn a model of the robot, which takes a while; what it is worth, its own tests say."""
+MODEL_UPDATES, imagined.UPDATES, fitted.UPDATES = imagined.UPDATES, 20, 20
+"""Held-out scores learn a model of the robot and a value, which takes a while; what they are worth, their tests say."""
 
 _PHASES = hypothesis.Phase.explicit, hypothesis.Phase.reuse, hypothesis.Phase.generate
 hypothesis.settings.register_profile("first example", phases=_PHASES)

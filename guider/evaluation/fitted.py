@@ -22,8 +22,10 @@ from guider.learning.networks import Layers, mlp, mlp_init
 from guider.learning.optimisers import adam_init, adam_step, cosine_rate, trail
 from guider.methods.policy import Policy, compiled_act, initial_state
 
-MEMBERS, UPDATES, BATCH, HIDDEN, LEARNING_RATE, TARGET_RATE = 2, 8_000, 256, (128, 128), 1e-3, 0.02
-DISCOUNT = 0.99
+MEMBERS, UPDATES, BATCH, HIDDEN, LEARNING_RATE, TARGET_RATE = 2, 8_000, 256, (128, 128), 1e-3, 0.05
+DISCOUNT = 0.97
+_FIRST_LOGIT = -4.0
+"""Nothing is worth much before anything is learned: who never arrives is not taken for one who arrives late."""
 _ASKED, _TIMES = 2_000, 20
 """How many steps a policy is asked about at a time, and how often."""
 
@@ -49,7 +51,7 @@ def fitted_value(policy: Policy, training: Episodes, unseen: Episodes) -> float:
     """What the policy is worth (0 to 1) where episodes of `unseen` begin, towards where others of them end, by the
     steps in `training`; the mean of the members' Q."""
     problem = policy.config.problem
-    values = fit(logged_steps(policy, training))
+    values = fit(logged_steps(policy, training), DISCOUNT, UPDATES)
     starts, goals = starts_and_goals(unseen, 2 * problem.radius, problem.goal_parts)
     return float(value(values, _seen(policy, starts, _actions(policy, starts, goals), goals)).mean())
 
@@ -88,14 +90,13 @@ def _actions(policy: Policy, states: np.ndarray, goals: np.ndarray) -> np.ndarra
     return np.concatenate(found)
 
 
-def fit(steps: Steps, discount: float = DISCOUNT, updates: int = UPDATES) -> Values:
+def fit(steps: Steps, discount: float, updates: int) -> Values:
     """Q of the policy that is in `steps`; the same every time."""
     mean, spread = steps.now.mean(axis=0), jnp.maximum(steps.now.std(axis=0), SMALLEST_SPREAD)
     key, init_key = jax.random.split(jax.random.key(0))
-    members = jax.vmap(lambda member: mlp_init(member, (steps.now.shape[1], *HIDDEN, 1)))(
-        jax.random.split(init_key, MEMBERS)
-    )
-    values = Values(members, mean, spread)
+    sizes = steps.now.shape[1], *HIDDEN, 1
+    *hidden, (weights, biases) = jax.vmap(lambda member: mlp_init(member, sizes))(jax.random.split(init_key, MEMBERS))
+    values = Values((*hidden, (0.1 * weights, biases + _FIRST_LOGIT)), mean, spread)
     return values._replace(members=_fit(values, steps, key, discount, updates))
 
 

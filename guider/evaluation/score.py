@@ -12,6 +12,7 @@ import numpy as np
 from guider import runs
 from guider.data.episodes import Episodes
 from guider.errors import GuiderError, GuiderWarning
+from guider.evaluation.fitted import fitted_value
 from guider.evaluation.heldout import held_out_scores
 from guider.evaluation.imagined import fit_model, imagined_scores
 from guider.evaluation.outcomes import ending, subgoal_shares
@@ -119,7 +120,10 @@ def _held_out(run: Run, policies: list[Policy], data: str | Path | Episodes | No
     training, unseen = logged.split(spec.held_out)
     model = fit_model(training)
     per_seed = [
-        imagined_scores(policy, model, training, unseen) | held_out_scores(policy, unseen) for policy in policies
+        imagined_scores(policy, model, training, unseen)
+        | {"fitted_value": fitted_value(policy, training, unseen)}
+        | held_out_scores(policy, unseen)
+        for policy in policies
     ]
     return {
         "held_out_episodes": len(unseen.starts),

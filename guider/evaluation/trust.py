@@ -12,6 +12,7 @@ MEANINGS: Mapping[str, str] = {
     "imagined_steps": "steps that takes (median)",
     "imagined_left_data": "share that strayed to places nothing was logged near, and counts as failed",
     "model_error": "that model's error over c steps, as a share of the way they go; above 0.5 it says little",
+    "fitted_value": "worth by fitted Q evaluation, to compare policies by: 0.97 to the power of the steps to the goal",
     "action_error": "squared error of actions towards the state c steps on (bounds are -1 and 1); not success",
     "action_spread": "the same of always answering with the mean action",
     "prior_coverage": "share of true c-step outcomes the prior holds for likely; 0.95 if it fits",

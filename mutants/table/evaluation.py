@@ -88,4 +88,14 @@ TABLE: Table = {
         ("< LEAST_COVERAGE", "< 0", "evaluation/test_imagined.py"),
         ("< LEAST_IN_RANGE", "< 0", "evaluation/test_imagined.py"),
     ],
+    "guider/evaluation/fitted.py": [
+        ("jnp.where(chosen.met, 1.0,", "jnp.where(chosen.met, 0.0,", "evaluation/test_fitted.py"),
+        ("discount * value(", "value(", "evaluation/test_fitted.py"),
+        ("worth * logits", "logits", "evaluation/test_fitted.py"),
+        ("rng.random(len(rows)) < 0.5", "rng.random(len(rows)) < 0.7", "evaluation/test_fitted.py"),
+        ("rng.integers(rows + 1,", "rng.integers(rows,", "evaluation/test_fitted.py"),
+        ("episodes.achieved[rows + 1]", "episodes.achieved[rows]", "evaluation/test_fitted.py"),
+        ("episodes.starts + episodes.lengths - 1", "episodes.starts", "evaluation/test_fitted.py"),
+        ("biases + _FIRST_LOGIT", "biases", "evaluation/test_fitted.py"),
+    ],
 }
