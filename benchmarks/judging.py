@@ -1,6 +1,6 @@
 """What the score without a simulator is worth: eight policies of different quality, ranked by it and by the simulator.
 
-python -m benchmarks.judging [--scale S] [--json]
+python -m benchmarks.judging [--scale S] [--seed N] [--json]
 
 On each of two tasks, policies are trained as on one's own data, with budgets from far too few updates on, and judged
 by what sees logs alone, `imagined_success` and `fitted_value`, and by success in the simulator on starts and goals such
@@ -33,7 +33,7 @@ from guider.tasks.simulation import MujocoVectorEnv, Start
 from guider.tasks.types import Task
 
 TASKS = {"pointmaze-umaze": 40_000, "fetch-reach-mixed": 40_000}
-"""Steps of data recorded for each, with seed 7."""
+"""Steps of data recorded for each."""
 SCORES = {"imagined_success": 1, "fitted_value": 1, "action_error": -1}
 """What ranks policies, and whether more of it is better."""
 HELD_OUT, EPISODES, FIRST_SEED = 0.1, 60, 3_000_000
@@ -70,12 +70,12 @@ def as_logged(task: Task) -> Task:
     return replace(task, make_env=lambda count: MujocoVectorEnv(model, pointmaze.FRAME_SKIP, start, count))
 
 
-def judged(name: str, steps: int, scale: float, folder: Path) -> list[dict[str, Any]]:
+def judged(name: str, steps: int, seed: int, scale: float, folder: Path) -> list[dict[str, Any]]:
     """A row for each policy: what logs say of it, and what the simulator does."""
     task = as_logged(find_task(name))
     path = folder / f"{name}.hdf5"
     assert task.collector is not None
-    write_d4rl(path, task.collector.record(steps, 7, lambda done, total: None), task.goal_indices, task.radius)
+    write_d4rl(path, task.collector.record(steps, seed, lambda done, total: None), task.goal_indices, task.radius)
     logs = guider.load_data(path, task.goal_indices)
     training, unseen = logs.split(HELD_OUT)
     model = fit_model(training)
@@ -113,12 +113,13 @@ def _rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scale", type=float, default=1.0, help="of all budgets")
+    parser.add_argument("--seed", type=int, default=8, help="of the data")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     summary = []
     with tempfile.TemporaryDirectory() as folder:
         for name, steps in TASKS.items():
-            rows = judged(name, steps, arguments.scale, Path(folder))
+            rows = judged(name, steps, arguments.seed, arguments.scale, Path(folder))
             success = [row["success"] for row in rows]
             ranks = {
                 score: _rank_correlation([sign * row[score] for row in rows], success) for score, sign in SCORES.items()

@@ -32,9 +32,9 @@ CUBE_ENTRIES, BUTTON_ENTRIES = 9, 4
 CENTRE_M = (0.425, 0.0, 0.0)
 UNITS_TO_METRE = 10.0
 CUBE_RADIUS_M, SLIDE_RADIUS_M = 0.04, 0.04
+DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE = 18.0, 15.0
 Goal = Callable[[Any, np.ndarray], np.ndarray]
 """(table that has just been reset, the state [S] it shows as its goal) -> [G] what is to be reached."""
-DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE = 18.0, 15.0
 
 
 class FiveGoals(gymnasium.Wrapper):
@@ -55,17 +55,9 @@ class FiveGoals(gymnasium.Wrapper):
         assert seed is not None
         table: Any = self.env
         table.action_space.seed(seed)
-        _, info = table.reset(seed=seed, options={"task_id": 1 + seed % GOALS})
-        # On its way it has shown itself the goal and taken random steps there: what these left behind, but for the
-        # state, would be of chance.
-        qpos, qvel = table.data.qpos.copy(), table.data.qvel.copy()
-        places = table.data.mocap_pos.copy(), table.data.mocap_quat.copy()
-        mujoco.mj_resetData(table.model, table.data)
-        table.data.mocap_pos[:], table.data.mocap_quat[:] = places
-        table.set_state(qpos, qvel, *_button_states(table))
-        table.pre_step()
+        observation, info = table.reset(seed=seed, options={"task_id": 1 + seed % GOALS})
         self._desired = self._goal(table, info["goal"])
-        return self._observe(table.compute_observation()), info
+        return self._observe(observation), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -73,10 +65,6 @@ class FiveGoals(gymnasium.Wrapper):
 
     def _observe(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         return {"observation": observation, "desired_goal": self._desired.copy()}
-
-
-def _button_states(table: Any) -> tuple[np.ndarray, ...]:
-    return (table._cur_button_states.copy(),) if hasattr(table, "_cur_button_states") else ()
 
 
 def make_env(env_id: str, goal: Goal) -> gymnasium.Env:

@@ -42,7 +42,8 @@ TABLE: Table = {
         ("part_radii=(radius, radius, radius, *slide_radii)", "part_radii=()", "tasks/test_ogbench_tables.py"),
         ("UNITS_TO_METRE * (places - CENTRE_M)", "UNITS_TO_METRE * places", "tasks/test_ogbench_tables.py"),
         ("CUBE_ENTRIES, BUTTON_ENTRIES = 9, 4", "CUBE_ENTRIES, BUTTON_ENTRIES = 8, 4", "tasks/test_ogbench_tables.py"),
-        ("mujoco.mj_resetData(table.model, table.data)", "pass", "tasks/test_ogbench_tables.py"),
+        ("table.action_space.seed(seed)", "pass", "tasks/test_ogbench_tables.py"),
+        ("tuple(objects[entry] for entry in part)", "part", "tasks/test_ogbench_tables.py"),
         ("BUTTON_ENTRIES * button + 1 for", "BUTTON_ENTRIES * button for", "tasks/test_ogbench_tables.py"),
     ],
     "guider/tasks/ogbench_mazes.py": [
