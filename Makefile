@@ -22,7 +22,7 @@ demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes o
 test: .venv/installed
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
-mutants: .venv/installed  ## Break the package in some 500 places, one at a time, and see that a test fails each time.
+mutants: .venv/installed  ## Break the package in some 480 places, one at a time, and see that a test fails each time.
 	$(BIN)/python -m mutants
 
 drill: .venv/installed  ## Kill, damage, mutate, trap: under an hour on two cores; writes docs/reliability.md.

@@ -67,7 +67,7 @@ TABLE: Table = {
         ("known.get(domain or", "{}.get(domain or", _GUIDED),
     ],
     "guider/learning/samplers.py": [
-        ("uniform(kind_key, rows.shape) < current_goal", "uniform(goal_key, rows.shape) < current_goal", _GOALS),
+        ("random_goal_fraction / others if", "random_goal_fraction if", _GOALS),
         ("1 - anywhere, anywhere)\n", "1.0, 0.0)\n", _GOALS),
     ],
 }
