@@ -67,7 +67,6 @@ TABLE: Table = {
         ("known.get(domain or", "{}.get(domain or", _GUIDED),
     ],
     "guider/learning/samplers.py": [
-        ("random_goal_fraction / others if", "random_goal_fraction if", _GOALS),
         ("1 - anywhere, anywhere)\n", "1.0, 0.0)\n", _GOALS),
     ],
 }
