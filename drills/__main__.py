@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import platform
+import signal
 import sys
 import tempfile
 import time
@@ -131,6 +132,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=min(2, _cores()), help="trials at a time")
     asked = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell runs in the background ignores it otherwise
     results: list[Result] = []
     scenes: dict[Any, Any] = {}
     with tempfile.TemporaryDirectory(prefix="guider-drills-", ignore_cleanup_errors=True) as root:
