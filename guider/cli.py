@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from guider.commands import COMMANDS
 from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.learning.options import LearningOptions
 
+_MOMENT_S = 0.05
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and say in a line what was wrong, if anything. Returns the exit status, see this file's top."""
@@ -28,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        with _stopping_on_sigterm(), _showing_warnings():
+        with _stopping_on_sigterm(), _interrupting_again(), _showing_warnings():
             tyro.extras.subcommand_cli_from_dict(
                 COMMANDS,
                 prog="guider",
@@ -50,10 +53,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _told(error: BaseException) -> tuple[int, str]:
-    """(exit status, what to say) of what ended a command."""
-    match error:
-        case Stopped():
-            return 128 + error.signal_number, str(error)
+    """(exit status, what to say) of what ended a command. A library that is interrupted while it is imported may call
+    that an ImportError."""
+    causes = [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) is not None:
+        causes.append(cause)
+    match next((cause for cause in causes if isinstance(cause, KeyboardInterrupt | Stopped)), error):
+        case Stopped() as stopped:
+            return 128 + stopped.signal_number, str(stopped)
         case KeyboardInterrupt():
             return 128 + signal.SIGINT, "interrupted"
         case GuiderError():
@@ -83,6 +90,25 @@ def _stopping_on_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _interrupting_again() -> Iterator[None]:
+    """An interruption that comes where nothing may be raised (Python only says that it ignored it) comes once more."""
+    before = sys.unraisablehook
+
+    def look(ignored: Any) -> None:
+        if not isinstance(ignored.exc_value, KeyboardInterrupt | Stopped):
+            before(ignored)
+            return
+        number = getattr(ignored.exc_value, "signal_number", signal.SIGINT)
+        threading.Timer(_MOMENT_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
+
+    sys.unraisablehook = look
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 @contextmanager

@@ -1,22 +1,18 @@
-"""MuJoCo, imported even where it has no renderer: nothing but films is drawn with it."""
+"""MuJoCo, imported without what draws: only films are drawn, with a library of their own choice (plots/drawing.py), and
+there may be none. To look for one MuJoCo would also start a process, which says things of its own when interrupted."""
 
 from __future__ import annotations
 
 import os
 
+_asked = os.environ.get("MUJOCO_GL")
+os.environ["MUJOCO_GL"] = "off"
 try:
     import mujoco
-except Exception:
-    # MUJOCO_GL names an OpenGL library that cannot be loaded, as on many servers, or none that there is.
-    renderer = os.environ.get("MUJOCO_GL")
-    if renderer is None:
-        raise
-    os.environ["MUJOCO_GL"] = "off"
-    try:
-        import mujoco
-    finally:
-        os.environ["MUJOCO_GL"] = renderer  # for what is started from here
-
-import mujoco.rollout
+    import mujoco.rollout
+finally:
+    del os.environ["MUJOCO_GL"]
+    if _asked is not None:
+        os.environ["MUJOCO_GL"] = _asked  # for what draws later, and what is started from here
 
 __all__ = ["mujoco"]

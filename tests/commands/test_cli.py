@@ -6,6 +6,8 @@ import json
 import signal
 import subprocess
 import sys
+import time
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -14,9 +16,10 @@ import pytest
 from jax import tree
 
 import guider
-from guider import runs
+from guider import cli, runs
 from guider.cli import main
 from guider.commands import COMMANDS
+from guider.errors import Stopped
 from guider.support import files
 from tools import results
 
@@ -159,6 +162,33 @@ def test_a_command_that_is_interrupted_while_it_is_loaded_says_so_in_a_line(numb
     script = f"from guider.__main__ import _leave; _leave({int(number)}, None)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (128 + number, "guider: interrupted\n")
+
+
+def raises_where_nothing_may_be_raised() -> None:
+    class Gone:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    Gone()
+    time.sleep(20)
+
+
+def fails_to_load(interruption: BaseException) -> None:
+    raise ImportError("initialization failed") from interruption
+
+
+@pytest.mark.parametrize(
+    ("command", "status", "line"),
+    [
+        (raises_where_nothing_may_be_raised, 130, "interrupted"),
+        (partial(fails_to_load, KeyboardInterrupt()), 130, "interrupted"),
+        (partial(fails_to_load, Stopped("ended by SIGTERM", signal.SIGTERM)), 143, "ended by SIGTERM"),
+    ],
+    ids=["swallowed", "Ctrl-C within an import", "SIGTERM within an import"],
+)
+def test_an_interruption_is_heeded_wherever_it_comes(command, status, line, monkeypatch, capsys):
+    monkeypatch.setattr(cli.tyro.extras, "subcommand_cli_from_dict", lambda *_, **__: command())
+    assert main(["tasks"]) == status and capsys.readouterr().err == f"guider: {line}\n"
 
 
 def test_importing_guider_loads_nothing_until_a_name_is_used():

@@ -11,7 +11,12 @@ import pytest
 import guider
 from guider.support import physics
 
-PRINT = "import os, runpy, sys; runpy.run_path(sys.argv[1])['mujoco'].MjSpec(); print(os.environ.get('MUJOCO_GL'))"
+PRINT = """
+import os, runpy, sys
+runpy.run_path(sys.argv[1])["mujoco"].MjSpec()
+assert "glfw" not in sys.modules
+print(os.environ.get("MUJOCO_GL"))
+"""
 
 
 @pytest.mark.parametrize("renderer", ["osmesa", "egl", "glfw", "off", "no-such-library", "", None])
