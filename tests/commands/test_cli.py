@@ -188,7 +188,11 @@ def fails_to_load(interruption: BaseException) -> None:
 )
 def test_an_interruption_is_heeded_wherever_it_comes(command, status, line, monkeypatch, capsys):
     monkeypatch.setattr(cli.tyro.extras, "subcommand_cli_from_dict", lambda *_, **__: command())
-    assert main(["tasks"]) == status and capsys.readouterr().err == f"guider: {line}\n"
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run in the background ignore it
+    try:
+        assert main(["tasks"]) == status and capsys.readouterr().err == f"guider: {line}\n"
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_importing_guider_loads_nothing_until_a_name_is_used():

@@ -4,7 +4,7 @@ at once, and take ragged episodes."""
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import equal, make_ragged, tiny
+from conftest import compiled_for_long, equal, make_ragged, tiny
 
 import guider
 from guider import api, runs
@@ -142,7 +142,13 @@ def stages(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("stages")
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.fixture(scope="module")
+def optimised_throughout() -> Iterator[None]:
+    with compiled_for_long():
+        yield
+
+
+@pytest.mark.usefixtures("optimised_throughout")
 @pytest.mark.parametrize("method", [name for name in METHODS if name not in ("gciql-routes", "hiql-routes")])
 def test_learns_to_walk_a_ragged_corridor_either_way_and_resumes_to_the_bit(method, stages, tmp_path):
     """The corridor is 20 m long. Of methods that are led through the graph, one is tried: what they add is the same."""
