@@ -65,9 +65,9 @@ def _told(error: BaseException) -> tuple[int, str]:
             return 128 + signal.SIGINT, "interrupted"
         case GuiderError():
             return 1, str(error)
-        case OSError():
-            where = f"{error.filename}: " if error.filename else ""
-            return 1, f"{where}{error.strerror or error}"
+        case OSError() as failure:
+            where = f"{failure.filename}: " if failure.filename else ""
+            return 1, f"{where}{failure.strerror or failure}"
         case MemoryError():
             return 1, f"there is not enough memory ({' '.join(str(error).split()) or 'none is left'})"
     what = " ".join(f"{type(error).__name__}: {error}".split())

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from conftest import labelled
 
-from guider.data.episodes import Episodes
 from guider.evaluation import fitted
 from guider.learning.problem import Problem
 from guider.methods.policy import Policy
@@ -23,11 +22,11 @@ def test_values_on_a_line_by_hand(name):
     steps more is worth is 0.9^(n - 1), and what one that never does is worth nothing."""
     rng = np.random.default_rng(0)
     place, goal = rng.integers(-10, 11, (2, 20_000)).astype(np.float32)
-    action = rng.choice(np.float32([-1, 1]), 20_000)
+    action = rng.choice(np.array([-1, 1], np.float32), 20_000)
     after = np.clip(place + action, -10, 10)
     does = {"towards": np.sign(goal - after), "right": np.ones_like(after)}[name]
-    seen = (np.stack([at, doing, goal, goal - at], axis=1) for at, doing in ((place, action), (after, does)))
-    values = fitted.fit(fitted.Steps(*map(jnp.asarray, seen), jnp.asarray(np.abs(after - goal) < 0.5)), 0.9, 4000)
+    now, then = (jnp.stack([at, doing, goal, goal - at], axis=1) for at, doing in ((place, action), (after, does)))
+    values = fitted.fit(fitted.Steps(now, then, jnp.asarray(np.abs(after - goal) < 0.5)), 0.9, 4000)
     steps = np.arange(1, 9)
     to_the_right = jnp.stack([jnp.zeros(8), jnp.ones(8), steps, steps], axis=1)
     found = np.asarray(fitted.value(values, to_the_right))
@@ -51,14 +50,10 @@ def policy(monkeypatch) -> Any:
     return SimpleNamespace(config=SimpleNamespace(problem=Problem(0.5, 1.0, 5)), goal_indices=(0, 1))
 
 
-def steps_of(policy: Any, episodes: Episodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return tuple(np.asarray(part) for part in fitted.logged_steps(policy, episodes))
-
-
 def test_steps_goals_and_what_the_policy_does_by_their_distribution(policy):
     """States are (episode, step): of episodes of 3 and 30 states, rows, goals and what is met tell where they are
     from."""
-    now, then, met = steps_of(policy, labelled([3, 30]))
+    now, then, met = map(np.asarray, fitted.logged_steps(policy, labelled([3, 30])))
     episode, step, goal_episode, goal_step = now[:, 0], now[:, 1], now[:, 3], now[:, 4]
     assert np.bincount(episode.astype(int)) / len(now) == pytest.approx([2 / 31, 29 / 31], abs=0.01)
     assert set(step[episode == 0]) == {0, 1} and set(step[episode == 1]) == set(range(29)), "never from a last row"
