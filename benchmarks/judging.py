@@ -1,4 +1,4 @@
-"""What the score without a simulator is worth: eight policies of different quality, ranked by it and by the simulator.
+"""What the score without a simulator is worth: nine policies of different quality, ranked by it and by the simulator.
 
 python -m benchmarks.judging [--scale S] [--seed N] [--json]
 

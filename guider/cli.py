@@ -23,6 +23,7 @@ from guider.errors import GuiderError, GuiderWarning, Stopped
 from guider.learning.options import LearningOptions
 
 _MOMENT_S = 0.05
+"""Until an interruption comes again, which by then is no longer where nothing may be raised."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -55,10 +56,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _told(error: BaseException) -> tuple[int, str]:
     """(exit status, what to say) of what ended a command. A library that is interrupted while it is imported may call
     that an ImportError."""
-    causes = [error]
-    while (cause := causes[-1].__cause__ or causes[-1].__context__) is not None:
-        causes.append(cause)
-    match next((cause for cause in causes if isinstance(cause, KeyboardInterrupt | Stopped)), error):
+    cause: BaseException | None = error
+    while not isinstance(cause, KeyboardInterrupt | Stopped | None):
+        cause = cause.__cause__
+    match cause or error:
         case Stopped() as stopped:
             return 128 + stopped.signal_number, str(stopped)
         case KeyboardInterrupt():

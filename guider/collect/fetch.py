@@ -9,6 +9,7 @@ from functools import partial
 import gymnasium
 import numpy as np
 
+from guider.collect import check_steps
 from guider.collect.fetch_experts import ACTION_DIM, Expert
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
@@ -42,7 +43,9 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
 
     What happens in episode n is determined by (seed, n) and by whether it is the expert's: equal recipes, steps and
     seeds give equal recordings, whatever the number of cores. report: called with (rows done, rows in all).
+    Raises GuiderError if `steps` is below 2.
     """
+    check_steps(steps)
     rows = EPISODE_STEPS + 1
     episodes = -(-steps // rows)
     batches = np.array_split(np.arange(episodes), -(-episodes // EPISODES_AT_ONCE))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from guider.collect import check_steps
 from guider.collect.kitchen_demos import EPISODE_STEPS, Chain, demonstrate
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
@@ -77,7 +78,9 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
 
     Demonstration n is determined by (seed, n): equal recipes, steps and seeds give equal recordings, whatever the
     number of cores. report: called with (rows done, rows in all).
+    Raises GuiderError if `steps` is below 2.
     """
+    check_steps(steps)
     make = partial(_demonstrations, recipe, seed)
     demos: list[tuple[np.ndarray, np.ndarray]] = []
     number, rows = 0, 0

@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from guider.collect import check_steps
 from guider.collect.processes import map_in_processes
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
@@ -80,7 +81,9 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     """Record `steps` rows by `recipe` in `cores` worker processes; the last episode is cut short where they are full.
 
     Episode n is determined by (seed, n), whatever the number of cores. report: called with (rows done, rows in all).
+    Raises GuiderError if `steps` is below 2.
     """
+    check_steps(steps)
     episodes = -(-steps // recipe.episode_steps)
     batches = np.array_split(np.arange(episodes), -(-episodes * recipe.episode_steps // EPISODE_ROWS_AT_ONCE))
     recorded: list[dict[str, np.ndarray]] = []

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from guider.collect import check_steps
 from guider.data.ends import lengths_from_ends
 from guider.data.store import Recording
 
@@ -98,7 +99,9 @@ def record(recipe: Recipe, steps: int, seed: int, report: Callable[[int, int], N
     """Record `steps` rows by `recipe`. The last episode is cut short if that is no multiple of `episode_steps`.
 
     Equal arguments give equal recordings, whatever the number of cores. report: called with (rows done, rows in all).
+    Raises GuiderError if `steps` is below 2.
     """
+    check_steps(steps)
     episodes = -(-steps // recipe.episode_steps)
     seeds = np.random.SeedSequence(seed).generate_state(episodes, np.uint64)
     guide = Guide(recipe.maze, recipe.centre_to_centre)

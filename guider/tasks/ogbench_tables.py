@@ -33,8 +33,8 @@ CENTRE_M = (0.425, 0.0, 0.0)
 UNITS_TO_METRE = 10.0
 CUBE_RADIUS_M, SLIDE_RADIUS_M = 0.04, 0.04
 DRAWER_UNITS_TO_METRE, WINDOW_UNITS_TO_METRE = 18.0, 15.0
-Goal = Callable[[Any, np.ndarray], np.ndarray]
-"""(table that has just been reset, the state [S] it shows as its goal) -> [G] what is to be reached."""
+Goal = Callable[[Any], np.ndarray]
+"""(table that has just been reset) -> [G] what is to be reached."""
 
 
 class FiveGoals(gymnasium.Wrapper):
@@ -56,7 +56,7 @@ class FiveGoals(gymnasium.Wrapper):
         table: Any = self.env
         table.action_space.seed(seed)
         observation, info = table.reset(seed=seed, options={"task_id": 1 + seed % GOALS})
-        self._desired = self._goal(table, info["goal"])
+        self._desired = self._goal(table)
         return self._observe(observation), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -72,27 +72,27 @@ def make_env(env_id: str, goal: Goal) -> gymnasium.Env:
     return FiveGoals(make_unwrapped(env_id, terminate_at_goal=False), goal)
 
 
-def cubes_goal(table: Any, shown: np.ndarray) -> np.ndarray:
+def cubes_goal(table: Any) -> np.ndarray:
     """[3 * cubes]: where the cubes shall be."""
     places = np.array([table.data.mocap_pos[target] for target in table._cube_target_mocap_ids])
     return (UNITS_TO_METRE * (places - CENTRE_M)).reshape(-1)
 
 
-def buttons_goal(table: Any, shown: np.ndarray) -> np.ndarray:
+def buttons_goal(table: Any) -> np.ndarray:
     """[buttons]: 1 where a button shall be on, else 0."""
     return table._target_button_states.astype(float)
 
 
-def scene_goal(table: Any, shown: np.ndarray) -> np.ndarray:
+def scene_goal(table: Any) -> np.ndarray:
     """[7]: where the cube shall be (3), which of two buttons shall be on, how far drawer and window shall be open."""
     drawer_m, window_m = table._target_drawer_pos, table._target_window_pos
     opened = [DRAWER_UNITS_TO_METRE * drawer_m, WINDOW_UNITS_TO_METRE * window_m]
-    return np.concatenate([cubes_goal(table, shown), buttons_goal(table, shown), opened])
+    return np.concatenate([cubes_goal(table), buttons_goal(table), opened])
 
 
-def whole_state(table: Any, shown: np.ndarray) -> np.ndarray:
+def whole_state(table: Any) -> np.ndarray:
     """[S]: the state that OGBench shows its agents."""
-    return shown.copy()
+    return table._cur_goal_ob.copy()
 
 
 def cube_places(goal: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from guider.collect.fetch_experts import (
     way_around,
 )
 from guider.data.episodes import make_episodes
+from guider.errors import GuiderError
 from guider.tasks.fetch import FETCH_TASKS, make_env
 from guider.tasks.gymnasium_tasks import make_gymnasium
 
@@ -214,6 +215,8 @@ def test_recordings_are_equal_whatever_the_cores_and_batches(monkeypatch):
     assert reports == [(0, 305), (153, 305), (305, 305)]
     other = record_quietly(recipe, 6 * 51 - 1, 6)
     assert not np.array_equal(one.goals, other.goals)
+    with pytest.raises(GuiderError, match="at least two"):
+        record_quietly(recipe, 1, 0)
 
 
 def test_copies_move_as_single_environments_do_and_inactive_ones_not_at_all(push_env):

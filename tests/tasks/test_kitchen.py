@@ -19,6 +19,7 @@ from guider.collect.reaching import LIMIT_MARGIN_RAD, Hand, joint_step
 from guider.data import load
 from guider.data.readers.kitchen import kitchen_states
 from guider.data.write import write_d4rl
+from guider.errors import GuiderError
 from guider.evaluation import rollouts as evaluation
 from guider.tasks import find_task
 from guider.tasks.kitchen import GOAL_INDICES, KITCHEN_TASKS, MIXED, RADIUS, SUBTASKS, goal_vector, make_simulator
@@ -250,6 +251,11 @@ def test_unsolved_demonstrations_are_left_out_or_kept():
     assert collect._demonstrations(unsolved, 0, np.array([0])) == []
     ((states, actions),) = collect._demonstrations(replace(unsolved, solved_only=False), 0, np.array([0]))
     assert len(states) == len(actions) + 1
+
+
+def test_too_few_steps_are_refused():
+    with pytest.raises(GuiderError, match="cannot record 1 steps"):
+        record(RECIPE, 1, 0, lambda done, total: None, cores=1)
 
 
 def test_task_facts():

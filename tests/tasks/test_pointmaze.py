@@ -252,3 +252,5 @@ def test_a_failed_recording_leaves_nothing_behind(tmp_path, monkeypatch):
     with pytest.raises(GuiderError, match="cannot be written: no space"):
         collect("umaze", 100, 0, tmp_path / "data.hdf5")
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(GuiderError, match="at least two"):
+        collect("umaze", 1, 0, tmp_path / "data.hdf5")
