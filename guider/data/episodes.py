@@ -119,10 +119,14 @@ class Episodes:
         return np.diff(np.append(self.starts, len(self.observations)))
 
     @property
+    def ends(self) -> np.ndarray:
+        """[episodes] the last row of each, in which no action is taken."""
+        return self.starts + self.lengths - 1
+
+    @property
     def last_rows(self) -> np.ndarray:
         """[rows] int32: for each row, the last row of its episode."""
-        lengths = self.lengths
-        return np.repeat(self.starts + lengths - 1, lengths).astype(np.int32)
+        return np.repeat(self.ends, self.lengths).astype(np.int32)
 
     @property
     def logged(self) -> np.ndarray:

@@ -20,7 +20,7 @@ def goal_candidates(episodes: Episodes) -> tuple[list[int], dict[int, str]]:
     """
     states = episodes.observations.astype(np.float64)
     spans = np.ptp(states, axis=0)
-    starts, ends = episodes.starts, episodes.starts + episodes.lengths - 1
+    starts, ends = episodes.starts, episodes.ends
     travelled = np.median(np.maximum.reduceat(states, starts) - np.minimum.reduceat(states, starts), axis=0)
     varied = states[ends].std(axis=0) / np.maximum(states.std(axis=0), 1e-30)
     speeds = _speeds(episodes)

@@ -60,10 +60,10 @@ def logged_steps(policy: Policy, episodes: Episodes) -> Steps:
     """Steps drawn with replacement; a goal is where their episode comes later, or, for half, where another one ends."""
     rng = np.random.default_rng(0)
     last_rows = episodes.last_rows
-    steps = np.delete(np.arange(len(last_rows)), episodes.starts + episodes.lengths - 1)
+    steps = np.delete(np.arange(len(last_rows)), episodes.ends)
     rows = rng.choice(steps, _ASKED * _TIMES)
     later = rng.integers(rows + 1, last_rows[rows] + 1)
-    ends = rng.choice(np.unique(last_rows), len(rows))
+    ends = rng.choice(episodes.ends, len(rows))
     goals = episodes.achieved[np.where(rng.random(len(rows)) < 0.5, later, ends)]
     problem = policy.config.problem
     met = largest_distance(episodes.achieved[rows + 1], goals, problem.goal_parts) <= problem.radius

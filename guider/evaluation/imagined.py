@@ -240,9 +240,8 @@ def starts_and_goals(unseen: Episodes, least: float, goal_parts: Any) -> tuple[n
     """(starts [B, S], goals [B, G]): where episodes begin, and where others end, further off than `least`; where there
     are none such, those that are furthest."""
     rng = np.random.default_rng(0)
-    ends = unseen.starts + unseen.lengths - 1
     first, last = (rng.integers(len(unseen.starts), size=20 * PAIRS) for _ in range(2))
-    starts, goals = unseen.observations[unseen.starts[first]], unseen.achieved[ends[last]]
+    starts, goals = unseen.observations[unseen.starts[first]], unseen.achieved[unseen.ends[last]]
     distance = np.asarray(largest_distance(starts[:, list(unseen.goal_indices)], goals, goal_parts))
     chosen = np.flatnonzero(distance > least)[:PAIRS]
     if len(chosen) == 0:

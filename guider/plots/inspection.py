@@ -133,7 +133,7 @@ def ways(episodes: Episodes) -> Figure:
 
 def entries(episodes: Episodes, kind: str) -> Figure:
     """How often each entry of the states or actions has which value, at most the first 32."""
-    rows = episodes.observations if kind == "state" else np.delete(episodes.actions, _last_rows(episodes), axis=0)
+    rows = episodes.observations if kind == "state" else np.delete(episodes.actions, episodes.ends, axis=0)
     names = episodes.state_names if kind == "state" else episodes.action_names
     rows = canvas.thinned(rows[:, :_ENTRIES_SHOWN], _ROWS_SHOWN)
     lines = -(-rows.shape[1] // _COLUMNS)
@@ -148,8 +148,3 @@ def entries(episodes: Episodes, kind: str) -> Figure:
         axes.tick_params(labelsize=6)
         axes.set_yticks([])
     return figure
-
-
-def _last_rows(episodes: Episodes) -> np.ndarray:
-    """[episodes] rows in which no action is taken."""
-    return episodes.starts + episodes.lengths - 1

@@ -4,7 +4,7 @@ from mutants.mutation import Table
 
 TABLE: Table = {
     "guider/data/episodes.py": [
-        ("self.starts + lengths - 1, lengths", "self.starts + lengths, lengths", "data/test_episodes.py"),
+        ("self.starts + self.lengths - 1", "self.starts + self.lengths", "data/test_episodes.py"),
         ("np.minimum(low[goal], self.goals.min(axis=0))", "low[goal]", "data/test_episodes.py"),
         ("np.maximum(high[goal], self.goals.max(axis=0))", "high[goal]", "data/test_episodes.py"),
         (

@@ -95,7 +95,7 @@ TABLE: Table = {
         ("rng.random(len(rows)) < 0.5", "rng.random(len(rows)) < 0.7", "evaluation/test_fitted.py"),
         ("rng.integers(rows + 1,", "rng.integers(rows,", "evaluation/test_fitted.py"),
         ("episodes.achieved[rows + 1]", "episodes.achieved[rows]", "evaluation/test_fitted.py"),
-        ("episodes.starts + episodes.lengths - 1", "episodes.starts", "evaluation/test_fitted.py"),
+        ("episodes.ends)", "episodes.starts)", "evaluation/test_fitted.py"),
         ("biases + _FIRST_LOGIT", "biases", "evaluation/test_fitted.py"),
     ],
 }

@@ -15,7 +15,7 @@ TABLE: Table = {
         ("side % 2 == 0", "side % 1 == 0", "plots/test_film.py"),
     ],
     "guider/plots/inspection.py": [
-        ("np.delete(episodes.actions, _last_rows(episodes), axis=0)", "episodes.actions", "plots/test_inspection.py"),
+        ("np.delete(episodes.actions, episodes.ends, axis=0)", "episodes.actions", "plots/test_inspection.py"),
         ("if way.shape[1] > 1 else", "if way.shape[1] > 2 else", "plots/test_inspection.py"),
         ("html.escape(in_words(cell))", "in_words(cell)", "plots/test_inspection.py"),
         ('verdict=html.escape(description["verdict"])', 'verdict=""', "plots/test_inspection.py"),
