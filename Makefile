@@ -4,7 +4,7 @@ BIN := .venv/bin
 RUN := runs/demo
 DATA := datasets/demo-pointmaze-large.hdf5
 
-.PHONY: demo test mutants drill lint
+.PHONY: demo test browser mutants drill lint
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "guider needs Python 3.11 or newer; try: make PYTHON=python3.11 ...")'
@@ -21,6 +21,11 @@ demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes o
 
 test: .venv/installed
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+
+browser: .venv/installed  ## A headless Chromium in .venv/browser, by npm (x86): with it, `make test` tries the pages, too.
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt "playwright>=1.50,<2"
+	npm install --silent --no-audit --no-fund --prefix .venv/browser @sparticuz/chromium@153.0.0
+	cd .venv/browser && TMPDIR=$$PWD node --input-type=module -e 'import found from "@sparticuz/chromium"; await found.executablePath()'
 
 mutants: .venv/installed  ## Break the package in some 480 places, one at a time, and see that a test fails each time.
 	$(BIN)/python -m mutants

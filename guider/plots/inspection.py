@@ -38,10 +38,11 @@ _PAGE = """<!doctype html>
 <title>{title} - Guider</title>
 <style>
 :root {{ color-scheme: light dark; }}
-body {{ margin: 0 auto; max-width: 980px; padding: 1rem; font: 16px/1.45 system-ui, sans-serif; }}
+body {{ background: Canvas; color: CanvasText; margin: 0 auto; max-width: 980px; padding: 1rem; font: 16px/1.45 system-ui, sans-serif; }}
 h1 {{ font-size: 1.3rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.1rem; margin-top: 1.6rem; }}
 .wide {{ overflow-x: auto; }}
 td {{ padding: .15rem .8rem .15rem 0; vertical-align: top; overflow-wrap: anywhere; }}
+td:first-child {{ overflow-wrap: normal; }}
 img {{ max-width: 100%; height: auto; background: #fff; }}
 .verdict {{ font-weight: 600; }}
 </style></head><body>
