@@ -31,7 +31,7 @@ def film(
         first_seed: Their environment seeds count up from here.
         seed: Which trained seed's policy; by default the first.
         camera: One of the simulation's, by name; by default as the environment shows itself, a maze from above.
-        size: Width and height in pixels.
+        size: Width and height of the scene in pixels; a strip above it says which step it is.
         as_json: Print one JSON document instead of text.
     """
     from guider import api

@@ -111,12 +111,18 @@ def _film_episode(
     return reached
 
 
+def _title_height(height: int) -> int:
+    """Of the strip above a frame of so many pixels: even, as films are to be."""
+    return 2 * max(8, height // 28)
+
+
 def _titled(frame: np.ndarray, title: str) -> np.ndarray:
-    image = Image.fromarray(frame)
-    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, image.height // 22))
-    box = pen.textbbox((6, 4), title, font)
-    pen.rectangle((box[0] - 3, box[1] - 2, box[2] + 3, box[3] + 2), "white")
-    pen.text((6, 4), title, "black", font)
+    """The frame below a strip that hides nothing of it."""
+    height, width, _ = frame.shape
+    strip = _title_height(height)
+    image = Image.new("RGB", (width, height + strip), "white")
+    image.paste(Image.fromarray(frame), (0, strip))
+    ImageDraw.Draw(image).text((6, strip // 2), title, "black", ImageFont.load_default(strip * 0.7), anchor="lm")
     return np.asarray(image)
 
 
@@ -129,7 +135,14 @@ def _writing(kind: str, path: Path, look: Look) -> Iterator[Write]:
         images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=1000 // FRAMES_PER_SECOND, loop=0)
         return
     command = [_ffmpeg(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-    command += ["-s", f"{look.width}x{look.height}", "-r", str(FRAMES_PER_SECOND), "-i", "-"]
+    command += [
+        "-s",
+        f"{look.width}x{look.height + _title_height(look.height)}",
+        "-r",
+        str(FRAMES_PER_SECOND),
+        "-i",
+        "-",
+    ]
     command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-f", "mp4", str(path.absolute())]
     writer = subprocess.Popen(command, stdin=subprocess.PIPE)
     assert writer.stdin is not None

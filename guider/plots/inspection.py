@@ -38,7 +38,8 @@ _PAGE = """<!doctype html>
 <title>{title} - Guider</title>
 <style>
 :root {{ color-scheme: light dark; }}
-body {{ background: Canvas; color: CanvasText; margin: 0 auto; max-width: 980px; padding: 1rem; font: 16px/1.45 system-ui, sans-serif; }}
+body {{ background: Canvas; color: CanvasText; }}
+body {{ margin: 0 auto; max-width: 980px; padding: 1rem; font: 16px/1.45 system-ui, sans-serif; }}
 h1 {{ font-size: 1.3rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.1rem; margin-top: 1.6rem; }}
 .wide {{ overflow-x: auto; }}
 td {{ padding: .15rem .8rem .15rem 0; vertical-align: top; overflow-wrap: anywhere; }}

@@ -23,6 +23,7 @@ from guider.tasks import find_task
 from guider.tasks.mazes import floor_places
 
 SMALL = Look(width=96, height=64)
+HIGH = 64 + 16  # with the title above
 SHORT = replace(TASK, horizon_steps=6)
 
 
@@ -82,7 +83,7 @@ def test_a_film_has_every_step_and_a_still_end(kind, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
     if kind == "mp4":
         read = [films._ffmpeg(), "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-        assert len(subprocess.run(read, capture_output=True, check=True).stdout) == 2 * 27 * (96 * 64 * 3)
+        assert len(subprocess.run(read, capture_output=True, check=True).stdout) == 2 * 27 * (96 * HIGH * 3)
         return
     with Image.open(path) as opened:
         still = 1000 // films.FRAMES_PER_SECOND
@@ -90,7 +91,7 @@ def test_a_film_has_every_step_and_a_still_end(kind, tmp_path):
         for frame in range(getattr(opened, "n_frames", 1)):
             opened.seek(frame)
             lengths.append(opened.info["duration"])
-        assert opened.size == (96, 64) and sum(lengths) == 2 * 27 * still, "equal frames may be one that lasts"
+        assert opened.size == (96, HIGH) and sum(lengths) == 2 * 27 * still, "equal frames may be one that lasts"
 
 
 @pytest.mark.usefixtures("drawing")
