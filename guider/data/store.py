@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,9 +16,10 @@ import numpy as np
 
 from guider.data.episodes import EndSign, to_float32
 from guider.data.safety import Declared, check_path, look_into_hdf5, look_into_npz, memory_fault, size_fault
-from guider.errors import GuiderError
+from guider.errors import GuiderError, GuiderWarning
 
 _DAMAGED = (OSError, ValueError, EOFError, RuntimeError, KeyError, MemoryError, zlib.error, zipfile.BadZipFile)
+_LISTED = 6
 
 
 @dataclass(frozen=True)
@@ -163,14 +165,16 @@ def stacked(
 
     episodes: (name, arrays) of each, in order: [rows, ...]. Arrays may be a row shorter than the longest of an episode,
         as actions are that lead from state to state: their last row is then filled with zeros, and never read. Left out
-        is what is no vector of numbers in each row (pictures, text, what holds for a whole episode), and what not every
-        episode has.
+        is what is no vector of numbers in each row (pictures, text, what holds for a whole episode), and, with a
+        warning, what not every episode has.
 
     Raises GuiderError where there are no episodes, or rows or widths disagree.
     """
     parts: dict[str, list[np.ndarray]] = {}
     lengths: list[int] = []
+    held: list[tuple[str, set[str]]] = []
     for name, found in episodes:
+        held.append((name, set(found)))
         arrays = {key: item for key, item in found.items() if item.ndim in (1, 2) and item.dtype.kind in "fiub"}
         if not (rows := max(map(len, arrays.values()), default=0)):
             raise GuiderError(f"{source}: {name} holds no rows of numbers")
@@ -189,6 +193,11 @@ def stacked(
         lengths.append(rows)
     if not lengths:
         raise GuiderError(f"{source}: holds no episodes")
+    lacking = {key: name for name, keys in reversed(held) for key in parts.keys() - keys}
+    if lacking:
+        listed = ", ".join(f"{key} (not in {name})" for key, name in sorted(lacking.items())[:_LISTED])
+        message = f"{source}: left out, as not every episode has it: {listed}"
+        warnings.warn(GuiderWarning(message), stacklevel=2)
     whole = {key: np.concatenate(items) for key, items in parts.items() if len(items) == len(lengths)}
     return store_of(source, kind, whole, entries, np.array(lengths))
 

@@ -127,8 +127,8 @@ def test_damage_is_a_line(tmp_path):
         path.write_bytes(content)
         try:
             rlds.read_rlds(path, [path])
-        except GuiderError:
-            pass
+        except (GuiderError, GuiderWarning):
+            pass  # the latter of a damaged name, which the other episode has whole
 
 
 def test_splits_missing_files_and_others_beside_them_are_told(tmp_path):

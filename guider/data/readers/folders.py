@@ -70,16 +70,6 @@ def _bags(folder: Path, files: list[Path]) -> Store:
         warnings.warn(GuiderWarning(f"left out: {error}"), stacklevel=2)
     if len(stores) == 1:
         return next(iter(stores.values()))
-    lacking = {
-        key: place.name
-        for store in stores.values()
-        for key in store.keys
-        for place in stores
-        if key not in stores[place].keys
-    }
-    if lacking:
-        listed = ", ".join(f"{key} (not in {name})" for key, name in list(lacking.items())[:6])
-        warnings.warn(GuiderWarning(f"{folder}: left out, as not every recording has it: {listed}"), stacklevel=2)
     return stacked(str(folder), "MCAP", ((place.name, in_memory(store)) for place, store in stores.items()))
 
 
