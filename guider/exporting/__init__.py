@@ -14,6 +14,7 @@ from guider.errors import GuiderError, names_like
 from guider.exporting.formats import FORMATS
 from guider.methods.policy import Policy
 from guider.runs import RunSpec, versions
+from guider.support import files
 
 __all__ = ["FORMATS", "about", "export_policy"]
 
@@ -25,10 +26,7 @@ def export_policy(policy: Policy, told: dict[str, Any], path: Path) -> list[Path
     """
     if path.suffix not in FORMATS:
         raise GuiderError(f"{path}: the name must end in a format; {names_like(path.suffix, FORMATS)}")
-    if path.exists():
-        raise GuiderError(f"{path} is there already; remove it, or name another file")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return FORMATS[path.suffix](path, policy, told)
+    return FORMATS[path.suffix](files.new_file(path, "name"), policy, told)
 
 
 def about(spec: RunSpec, seed: int, policy: Policy) -> dict[str, Any]:

@@ -171,7 +171,7 @@ def test_a_trained_run_is_exported_by_the_command(finished, tmp_path, capsys):
     np.testing.assert_allclose(other.act(np.ones(4), np.zeros(2)), agent.act(np.ones(4), np.zeros(2)), atol=1e-5)
     assert (other.about["method"], other.about["goal_indices"], other.about["radius"]) == ("bc", [0, 1], 0.5)
     for arguments, message in (
-        ([str(out)], "is there already"),
+        ([str(out)], "never overwritten; choose another name"),
         ([str(tmp_path / "policy.onxn")], "did you mean .onnx"),
         ([str(tmp_path / "a.npz"), "--seed", "9"], "trained seeds 0, not 9"),
     ):
