@@ -1,0 +1,80 @@
+"""What a newcomer gets: five robots' logs, nothing said but goal and radius, and then the robot itself.
+
+python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--seed N] [--out FILE]
+
+Each method trains on the same logs (data seed N) with the defaults for one's own data, two training seeds, and then
+drives the simulated robot from starts and to goals that the operator would meet. The named baseline is the best of bc,
+gcsl and hiql. Printed are the episodes in which the goal was met (%), the steps that the robot was at its goal, and how
+far from it it is at the end (median, goal units).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import guider
+from benchmarks.common import print_table
+from benchmarks.robots import ROBOTS, Logged, logs
+from guider.evaluation.rollouts import rollout
+from guider.support import files
+from guider.tasks import find_task
+
+METHODS = ("guider", "guider-routes", "bc", "gcsl", "hiql")
+SEEDS, EPISODES, FIRST_SEED = (0, 1), 60, 3_000_000
+
+
+def driven(robot: Logged, seed: int, method: str, folder: Path) -> dict[str, Any]:
+    """Train on the robot's logs, then drive it: met (%), at_goal (steps) and distance (median, at the end), each per
+    training seed."""
+    data = logs(robot, seed)
+    run = guider.train(data=data, radius=robot.radius, method=method, seeds=SEEDS, out=folder / "run")
+    task = find_task(f"gym:{robot.env}")
+    found: dict[str, Any] = {"met": [], "at_goal": [], "distance": []}
+    for policy in run.policies():
+        done = rollout(policy, task, EPISODES, FIRST_SEED)
+        found["met"].append(100 * float(done.success.mean()))
+        found["at_goal"].append(float(done.score.mean()))
+        ends = [np.linalg.norm(trace.last_state[list(task.goal_indices)] - trace.goal) for trace in done.traces]
+        found["distance"].append(float(np.median(ends)))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("robots", nargs="*", default=list(ROBOTS), metavar="ROBOT", help=", ".join(ROBOTS))
+    parser.add_argument("--methods", nargs="+", default=METHODS)
+    parser.add_argument("--seed", type=int, default=1, help="of the data")
+    parser.add_argument("--out", type=Path, help="a JSON file that results are added to as they come")
+    arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = (
+        json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else []
+    )
+    for name in arguments.robots:
+        for method in arguments.methods:
+            with tempfile.TemporaryDirectory() as folder:
+                found = driven(ROBOTS[name], arguments.seed, method, Path(folder))
+            rows.append({"robot": name, "seed": arguments.seed, "method": method} | found)
+            print(json.dumps(rows[-1]), flush=True)
+            if arguments.out:
+                files.write_text(arguments.out, json.dumps(rows, indent=1))
+    print_table(
+        "two training seeds each",
+        ("robot, method", "goals met, %", "steps at the goal", "median distance at the end"),
+        [
+            (
+                f"{row['robot']}, {row['method']}",
+                *(", ".join(f"{v:.3g}" for v in row[key]) for key in ("met", "at_goal", "distance")),
+            )
+            for row in rows
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
