@@ -354,10 +354,13 @@ FAST: Changes = (
     | {"replan": "reached", "final_goal_substitution": True}
 )
 _ARM: Changes = MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
+_OWN: Changes = {"final_goal_within_reach": True, "low.random_goal_fraction": 0.0}
+"""One's own data. A robot that can be at its goal in c steps goes there, however coarse pi_h is about it. Where an
+episode leads says what its driver meant by each action; among goals from anywhere that is lost."""
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
-    # One's own data. A robot that can be at its goal in c steps goes there, however coarse pi_h is about it.
-    None: {"final_goal_within_reach": True},
+    None: _OWN,
+    "gym": _OWN,
     # How to round corners without falling is what takes long to learn.
     "antmaze": _IN_METRES | {"low.updates": 100_000},
     "pointmaze": _IN_METRES,

@@ -211,6 +211,15 @@ def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
     assert guider_config("fast", Problem(domain="kitchen", goal_dim=2)).latent.latent_dim == 8
 
 
+def test_where_episodes_lead_is_what_ones_own_data_says():
+    """No final goal of the low level is drawn from elsewhere there, nor is the robot kept from a goal within reach."""
+    for domain in (None, "gym"):
+        config = guider_config("fast", Problem(domain=domain))
+        assert config.low.random_goal_fraction == 0 and config.final_goal_within_reach
+    elsewhere = guider_config("fast", Problem(domain="antmaze"))
+    assert elsewhere.low.random_goal_fraction == 0.5 and not elsewhere.final_goal_within_reach
+
+
 def test_targets_start_as_copies_of_the_critics():
     state = method.init(
         guider_config("paper", Problem(0.5, 1.0, 5)), make_ragged().spaces, plain_scale(), jax.random.key(1)
