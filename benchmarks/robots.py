@@ -345,4 +345,4 @@ def logs(robot: Logged, seed: int) -> Episodes:
                 break
             seen = env.step(action.astype(np.float32))[0]
     env.close()
-    return make_episodes(np.float32(states), np.float32(actions), lengths, robot.goal_indices)
+    return make_episodes(np.array(states, np.float32), np.array(actions, np.float32), lengths, robot.goal_indices)

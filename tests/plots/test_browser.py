@@ -39,10 +39,11 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     logs = load(write_plain(folder / "plain.npz"), (0, 1))
     guider.save_data(logs, folder / "logs.npz")
     api.inspect(folder / "logs.npz", report=folder / "logs.html")
+    line: dict[str, Any] = OWN | {"goal_indices": (0,)}
     runs = [
         guider.train(data=folder / "logs.npz", out=folder / "guided", **OWN),
         guider.train(data=folder / "logs.npz", out=folder / "cloned", **BC),
-        guider.train(data=folder / "logs.npz", out=folder / "line", **OWN | {"goal_indices": (0,)}),
+        guider.train(data=folder / "logs.npz", out=folder / "line", **line),
     ]
     for run in runs:
         guider.evaluate(run)
