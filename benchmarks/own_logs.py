@@ -1,6 +1,6 @@
 """What a newcomer gets: five robots' logs, nothing said but goal and radius, and then the robot itself.
 
-python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--seed N] [--out FILE]
+python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--period-steps C] [--seed N] [--out FILE]
 
 Each method trains on the same logs (data seed N) with the defaults for one's own data, two training seeds, and then
 drives the simulated robot from starts and to goals that the operator would meet. The named baseline is the best of bc,
@@ -29,11 +29,11 @@ METHODS = ("guider", "guider-routes", "bc", "gcsl", "hiql")
 SEEDS, EPISODES, FIRST_SEED = (0, 1), 60, 3_000_000
 
 
-def driven(robot: Logged, seed: int, method: str, folder: Path) -> dict[str, Any]:
+def driven(robot: Logged, seed: int, method: str, folder: Path, **options: Any) -> dict[str, Any]:
     """Train on the robot's logs, then drive it: met (%), at_goal (steps) and distance (median, at the end), each per
     training seed."""
     data = logs(robot, seed)
-    run = guider.train(data=data, radius=robot.radius, method=method, seeds=SEEDS, out=folder / "run")
+    run = guider.train(data=data, radius=robot.radius, method=method, seeds=SEEDS, out=folder / "run", **options)
     task = find_task(f"gym:{robot.env}")
     found: dict[str, Any] = {"met": [], "at_goal": [], "distance": []}
     for policy in run.policies():
@@ -49,17 +49,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("robots", nargs="*", default=list(ROBOTS), metavar="ROBOT", help=", ".join(ROBOTS))
     parser.add_argument("--methods", nargs="+", default=METHODS)
+    parser.add_argument("--period-steps", type=int, help="another c than the one that is chosen")
     parser.add_argument("--seed", type=int, default=1, help="of the data")
     parser.add_argument("--out", type=Path, help="a JSON file that results are added to as they come")
     arguments = parser.parse_args()
+    options = {"period_steps": arguments.period_steps} if arguments.period_steps else {}
     rows: list[dict[str, Any]] = (
         json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else []
     )
     for name in arguments.robots:
         for method in arguments.methods:
             with tempfile.TemporaryDirectory() as folder:
-                found = driven(ROBOTS[name], arguments.seed, method, Path(folder))
-            rows.append({"robot": name, "seed": arguments.seed, "method": method} | found)
+                found = driven(ROBOTS[name], arguments.seed, method, Path(folder), **options)
+            rows.append({"robot": name, "seed": arguments.seed, "method": method} | options | found)
             print(json.dumps(rows[-1]), flush=True)
             if arguments.out:
                 files.write_text(arguments.out, json.dumps(rows, indent=1))
