@@ -30,7 +30,7 @@ from guider.tasks import find_task
 
 TASK = find_task("antmaze-umaze-diverse")
 INPUTS, DIFFERENCE = 10_000, 1e-5
-ABOUT = {"goal_dim": 2, "state_dim": TASK.state_dim, "goal_indices": [0, 1]}
+ABOUT = {"goal_dim": 2, "state_dim": TASK.state_dim, "goal_indices": [0, 1], "goal_names": ["x", "y"]}
 
 
 class Session:
@@ -77,32 +77,47 @@ def milliseconds(act: Callable[[np.ndarray, np.ndarray], np.ndarray], steps: int
     return 1000 * (time.perf_counter() - began) / steps
 
 
-def on_random_inputs(ours: Any, other: Any) -> float:
-    """The largest difference of an action; each input begins an episode."""
-    rng, largest = np.random.default_rng(0), 0.0
+class Differences:
+    """The largest difference of an action of each of `others` to `ours`, who has the same inputs."""
+
+    def __init__(self, ours: Any, others: dict[str, Any]):
+        self._ours, self._others = ours, others
+        self.largest = dict.fromkeys(others, 0.0)
+
+    def reset(self) -> None:
+        for actor in (self._ours, *self._others.values()):
+            actor.reset()
+
+    def act(self, observation: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        action = self._ours.act(observation, goal)
+        for name, other in self._others.items():
+            difference = float(np.abs(action - other.act(observation, goal)).max())
+            self.largest[name] = max(self.largest[name], difference)
+        return action
+
+
+def on_random_inputs(ours: Any, others: dict[str, Any]) -> dict[str, float]:
+    """Each input begins an episode."""
+    rng, compared = np.random.default_rng(0), Differences(ours, others)
     for _ in range(INPUTS):
         observation = rng.normal(0, 3, TASK.state_dim).astype(np.float32)
         observation[:2] = rng.uniform(0, 36, 2)
-        goal = rng.uniform(0, 36, 2).astype(np.float32)
-        ours.reset()
-        other.reset()
-        largest = max(largest, float(np.abs(ours.act(observation, goal) - other.act(observation, goal)).max()))
-    return largest
+        compared.reset()
+        compared.act(observation, rng.uniform(0, 36, 2).astype(np.float32))
+    return compared.largest
 
 
-def over_episodes(ours: Any, other: Any, episodes: int) -> float:
-    """The same over whole episodes, which `ours` drives; the memory of each is its own."""
-    env, largest = TASK.make_env(1), 0.0
+def over_episodes(ours: Any, others: dict[str, Any], episodes: int) -> dict[str, float]:
+    """Over whole episodes, which `ours` drives; the memory of each is its own."""
+    env, compared = TASK.make_env(1), Differences(ours, others)
     for seed in range(episodes):
-        ours.reset()
-        other.reset()
+        compared.reset()
         observation, goal = env.reset(np.array([seed]))
         for _ in range(TASK.horizon_steps):
-            action = ours.act(observation[0], goal[0])
-            largest = max(largest, float(np.abs(action - other.act(observation[0], goal[0])).max()))
+            action = compared.act(observation[0], goal[0])
             observation = env.step(action[None], np.ones(1, bool))
     env.close()
-    return largest
+    return compared.largest
 
 
 def measure(episodes: int, rounds: int) -> dict[str, Any]:
@@ -119,10 +134,8 @@ def measure(episodes: int, rounds: int) -> dict[str, Any]:
             results[planner] = {
                 "ms": times,
                 "ratio": {name: ratios(times[name], times["JAX"]) for name in acting},
-                "difference_on_random_inputs": {name: on_random_inputs(ours, other) for name, other in acting.items()},
-                "difference_over_episodes": {
-                    name: over_episodes(ours, other, episodes) for name, other in acting.items()
-                },
+                "difference_on_random_inputs": on_random_inputs(ours, acting),
+                "difference_over_episodes": over_episodes(ours, acting, episodes),
             }
     return results
 
