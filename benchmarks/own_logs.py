@@ -21,6 +21,7 @@ import numpy as np
 import guider
 from benchmarks.common import print_table
 from benchmarks.robots import ROBOTS, Logged, logs
+from guider.data.episodes import Episodes
 from guider.evaluation.rollouts import rollout
 from guider.support import files
 from guider.tasks import find_task
@@ -29,10 +30,9 @@ METHODS = ("guider", "guider-routes", "bc", "gcsl", "hiql")
 SEEDS, EPISODES, FIRST_SEED = (0, 1), 60, 3_000_000
 
 
-def driven(robot: Logged, seed: int, method: str, folder: Path, **options: Any) -> dict[str, Any]:
+def driven(robot: Logged, data: Episodes, method: str, folder: Path, **options: Any) -> dict[str, Any]:
     """Train on the robot's logs, then drive it: met (%), at_goal (steps) and distance (median, at the end), each per
     training seed."""
-    data = logs(robot, seed)
     run = guider.train(data=data, radius=robot.radius, method=method, seeds=SEEDS, out=folder / "run", **options)
     task = find_task(f"gym:{robot.env}")
     found: dict[str, Any] = {"met": [], "at_goal": [], "distance": []}
@@ -58,9 +58,10 @@ def main() -> None:
         json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else []
     )
     for name in arguments.robots:
+        data = logs(ROBOTS[name], arguments.seed)
         for method in arguments.methods:
             with tempfile.TemporaryDirectory() as folder:
-                found = driven(ROBOTS[name], arguments.seed, method, Path(folder), **options)
+                found = driven(ROBOTS[name], data, method, Path(folder), **options)
             rows.append({"robot": name, "seed": arguments.seed, "method": method} | options | found)
             print(json.dumps(rows[-1]), flush=True)
             if arguments.out:

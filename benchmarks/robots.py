@@ -280,7 +280,7 @@ class Reacher(gymnasium.Env):
 @dataclass(frozen=True)
 class Logged:
     """A robot and how its logs come about. env: Gymnasium's id; operator: of a goal; episodes, rows: so many, of so
-    many rows at most; stops: an episode ends once the goal is met; unseen: nothing was chosen on such a robot."""
+    many rows at most; stops: an episode ends once the goal is met."""
 
     env: str
     operator: Callable[[Array, np.random.Generator], Operator]
@@ -289,7 +289,6 @@ class Logged:
     episodes: int
     rows: int
     stops: bool
-    unseen: bool = False
 
 
 def _register(name: str, steps: int, make: Callable[[], gymnasium.Env]) -> str:
@@ -314,14 +313,13 @@ ROBOTS = {
     "fetch": Logged("FetchReach-v4", _fetch_operator, (0, 1, 2), 0.05, 300, 51, stops=False),
     "boat": Logged(
         _simulated("Boat-v0", 600, _boat_start, SEA.place, _boat_move, (-0.03, 0), (0.03, 1), (0, 1), 0.25),
-        _boat_operator, (0, 1), 0.25, 300, 400, stops=True, unseen=True,
+        _boat_operator, (0, 1), 0.25, 300, 400, stops=True,
     ),
     "crane": Logged(
         _simulated(
             "Crane-v0", 300, _crane_start, _crane_goal, _crane_move, [-0.03], [0.03], (4,), 50
         ),
         _crane_operator, (4,), 50, 200, 151, stops=False,
-        unseen=True,
     ),
 }  # fmt: skip
 

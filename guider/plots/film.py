@@ -135,14 +135,8 @@ def _writing(kind: str, path: Path, look: Look) -> Iterator[Write]:
         images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=1000 // FRAMES_PER_SECOND, loop=0)
         return
     command = [_ffmpeg(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-    command += [
-        "-s",
-        f"{look.width}x{look.height + _title_height(look.height)}",
-        "-r",
-        str(FRAMES_PER_SECOND),
-        "-i",
-        "-",
-    ]
+    size = f"{look.width}x{look.height + _title_height(look.height)}"
+    command += ["-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
     command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-f", "mp4", str(path.absolute())]
     writer = subprocess.Popen(command, stdin=subprocess.PIPE)
     assert writer.stdin is not None
