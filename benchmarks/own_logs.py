@@ -1,6 +1,7 @@
-"""What a newcomer gets: five robots' logs, nothing said but goal and radius, and then the robot itself.
+"""What a newcomer gets: six robots' logs, nothing said but goal and radius, and then the robot itself.
 
-python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--period-steps C] [--seed N] [--out FILE]
+python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--period-steps C] [--set NAME=VALUE ...]
+    [--seed N] [--out FILE]
 
 Each method trains on the same logs (data seed N) with the defaults for one's own data, two training seeds, and then
 drives the simulated robot from starts and to goals that the operator would meet. The named baseline is the best of bc,
@@ -50,10 +51,13 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", default=list(ROBOTS), metavar="ROBOT", help=", ".join(ROBOTS))
     parser.add_argument("--methods", nargs="+", default=METHODS)
     parser.add_argument("--period-steps", type=int, help="another c than the one that is chosen")
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="other settings than the defaults")
     parser.add_argument("--seed", type=int, default=1, help="of the data")
     parser.add_argument("--out", type=Path, help="a JSON file that results are added to as they come")
     arguments = parser.parse_args()
-    options = {"period_steps": arguments.period_steps} if arguments.period_steps else {}
+    options: dict[str, Any] = {"period_steps": arguments.period_steps} if arguments.period_steps else {}
+    if arguments.set:
+        options["settings"] = dict(setting.split("=", 1) for setting in arguments.set)
     rows: list[dict[str, Any]] = (
         json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else []
     )

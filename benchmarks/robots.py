@@ -1,8 +1,9 @@
-"""Five small robots, each with an operator whose logs are learned from: goal environments, and who drives them.
+"""Six small robots, each with an operator whose logs are learned from: goal environments, and who drives them.
 
 A differential drive (mm, rad) and a boat in a current (km, minutes) go round obstacles; MuJoCo's Reacher and
-Gymnasium's FetchReach reach; a crane (mm) moves a load on a rope, and must not leave it swinging. Defaults for one's
-own data were chosen on robots like the drive, the Reacher and FetchReach; on the boat and the crane nothing was.
+Gymnasium's FetchReach reach; a crane (mm) moves a load on a rope, and must not leave it swinging; a drone (m), seen
+from the side, hovers on two rotors. Defaults for one's own data were chosen on robots like the drive, the Reacher,
+FetchReach and the crane; on the boat and the drone nothing was.
 """
 
 from __future__ import annotations
@@ -203,6 +204,43 @@ def _crane_operator(goal: Array, rng: np.random.Generator) -> Operator:
     return act
 
 
+ROOM_M, ARM_M, INERTIA = np.array([8.0, 5.0]), 0.2, 0.02
+"""The drone's room, half its width, and its inertia (kg m²); it weighs a kilogram."""
+
+
+def _drone_move(state: Array, action: Array) -> Array:
+    """A twentieth of a second in ten. state: x, z m, velocities m/s, pitch rad, its rate rad/s; action: thrust of the
+    left and the right rotor, N. Walls stop it."""
+    place, velocity, pitch, rate = state[:2], state[2:4], state[4], state[5]
+    for _ in range(10):
+        lift = action.sum() * np.array([-np.sin(pitch), np.cos(pitch)])
+        velocity = velocity + 0.005 * (lift - [0, 9.81] - 0.2 * velocity)
+        rate += 0.005 * ARM_M * (action[1] - action[0]) / INERTIA
+        ahead, pitch = place + 0.005 * velocity, _turned(pitch + 0.005 * rate)
+        place = np.clip(ahead, 0, ROOM_M)
+        velocity = np.where(place == ahead, velocity, 0.0)
+    return np.array([*place, *velocity, pitch, rate])
+
+
+def _drone_place(rng: np.random.Generator) -> Array:
+    return rng.uniform(1, ROOM_M - 1)
+
+
+def _drone_start(rng: np.random.Generator) -> Array:
+    return np.array([*_drone_place(rng), 0, 0, rng.normal(0, 0.05), 0])
+
+
+def _drone_operator(goal: Array, rng: np.random.Generator) -> Operator:
+    def act(state: Array) -> Array:
+        (right, up, pitch, rate), (to_x, to_z) = state[2:], goal - state[:2]
+        lean = -np.clip(to_x - 1.6 * right, -3, 3) / 9.81
+        lift = (9.81 + np.clip(2 * to_z - 2 * up, -4, 4)) / np.cos(pitch)
+        turn = INERTIA * (30 * (lean - pitch) - 8 * rate) / ARM_M
+        return (lift + turn * np.array([-1, 1])) / 2 + rng.normal(0, 0.15, 2)
+
+    return act
+
+
 def _reacher_operator(goal: Array, rng: np.random.Generator) -> Operator:
     def act(state: Array) -> Array:
         angles = np.arctan2(state[2:4], state[:2])
@@ -320,6 +358,10 @@ ROBOTS = {
             "Crane-v0", 300, _crane_start, _crane_goal, _crane_move, [-0.03], [0.03], (4,), 50
         ),
         _crane_operator, (4,), 50, 200, 151, stops=False,
+    ),
+    "drone": Logged(
+        _simulated("Drone-v0", 300, _drone_start, _drone_place, _drone_move, (0, 0), (10, 10), (0, 1), 0.2),
+        _drone_operator, (0, 1), 0.2, 200, 151, stops=False,
     ),
 }  # fmt: skip
 

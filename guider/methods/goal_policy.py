@@ -33,6 +33,8 @@ class GoalPolicyConfig:
     """Share of final goals relabelled with a future state; the rest are recorded goals, where data has them."""
     random_goal_fraction: float = 0.0
     """Share of final goals drawn from any trajectory (departure)."""
+    future: Literal["uniform", "last"] = "uniform"
+    """Which future state becomes the final goal: any, or the episode's last (departure)."""
     subgoal_input: Literal["goal", "latent"] = "goal"
     """What the networks see of the subgoal: s^G_j, or z ~ q(. | s^G_k, s^G_j), encoded where acting would have chosen
     it, up to c - 1 steps ago (Figure 5, without decoder)."""

@@ -167,6 +167,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             settings.batch_size,
             period_steps + settings.subgoal_slack_steps,
             period_steps if settings.subgoal_input == "latent" else 1,
+            settings.future,
             settings.relabel_fraction,
             settings.random_goal_fraction,
         )
@@ -354,9 +355,10 @@ FAST: Changes = (
     | {"replan": "reached", "final_goal_substitution": True}
 )
 _ARM: Changes = MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
-_OWN: Changes = {"final_goal_within_reach": True, "low.random_goal_fraction": 0.0}
+_OWN: Changes = {"final_goal_within_reach": True, "low.random_goal_fraction": 0.0, "low.future": "last"}
 """One's own data. A robot that can be at its goal in c steps goes there, however coarse pi_h is about it. Where an
-episode leads says what its driver meant by each action; among goals from anywhere that is lost."""
+episode ends says what its driver meant by each action: among goals from anywhere that is lost, and of places that were
+passed by at speed it is learned to pass goals by."""
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
     None: _OWN,

@@ -4,6 +4,7 @@ from mutants.mutation import Table
 
 _KEPT = "learning/test_samplers.py::test_subgoals_that_are_kept_were_chosen_up_to_a_period_ago_in_the_same_episode"
 _CROSSES = "learning/test_samplers.py::test_no_sample_crosses_an_episode"
+_ENDS = "learning/test_samplers.py::test_final_goals_can_be_where_episodes_end"
 _FLAT_GOALS = "learners/test_learners.py::test_flat_goals_come_from_ahead_in_their_own_episode"
 _SHARES = "methods/test_hiql.py::test_value_goals_come_in_their_shares_and_geometric"
 _STRETCH = "methods/test_hiql.py::test_value_stretches_stay_in_their_episode"
@@ -154,6 +155,7 @@ TABLE: Table = {
             "_goals(data, goal_key, rows + 1, last",
             "learning/test_samplers.py",
         ),
+        ("relabel_fraction, random_goal_fraction, future)\n", "relabel_fraction, random_goal_fraction)\n", _ENDS),
         ("subgoal_steps=subgoal_rows - rows", "subgoal_steps=last - rows", _KEPT),
         ("        rows + 1,\n        data.last_row", "        rows,\n        data.last_row", _FLAT_GOALS),
         ("steps=jnp.where(goal_rows < 0, -1, goal_rows - rows)", "steps=goal_rows - rows", "learners/test_learners.py"),

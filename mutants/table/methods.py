@@ -21,6 +21,7 @@ _WITHIN = "methods/test_guider.py::test_within_reach_is_what_the_prior_holds_for
 _COVERAGE = "methods/test_guider.py::test_coverage_is_the_share_within_the_priors_central_95_percent"
 _NAMED = "methods/test_hiql.py::test_a_place_that_is_named_is_found_again_and_shown_as_the_subgoal"
 _CANDIDATES = "methods/test_guider.py::test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses"
+_FINAL_GOALS = "methods/test_guider.py::test_the_low_level_learns_of_the_final_goals_that_are_asked_for"
 _SUBSTITUTED = "methods/test_guider.py::test_final_goal_is_substituted_only_within_reach"
 _PERIOD = "methods/test_guider.py::test_a_new_subgoal_every_period"
 _BEGINS = "methods/test_guider.py::test_a_new_subgoal_when_an_episode_begins"
@@ -196,6 +197,7 @@ TABLE: Table = {
         ),
         ("state.scale, batch.chosen_at, batch.subgoal", "state.scale, batch.achieved, batch.subgoal", _STALE_LATENT),
         ("state.scale, achieved) if config.high.prior else policy", "state.scale, achieved)", _CANDIDATES),
+        ("            settings.future,\n", '            "uniform",\n', _FINAL_GOALS),
         ("near = distance <= reach_radius", "near = distance > reach_radius", _SUBSTITUTED),
         ("acting.steps_left <= 0)", "acting.steps_left <= 1)", _PERIOD),
         ("reset_mask | (acting.steps_left", "(acting.steps_left", _BEGINS),

@@ -211,13 +211,28 @@ def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
     assert guider_config("fast", Problem(domain="kitchen", goal_dim=2)).latent.latent_dim == 8
 
 
-def test_where_episodes_lead_is_what_ones_own_data_says():
-    """No final goal of the low level is drawn from elsewhere there, nor is the robot kept from a goal within reach."""
+def test_where_episodes_end_is_what_ones_own_data_says():
+    """The low level has no other final goals there, nor is the robot kept from a goal within reach."""
     for domain in (None, "gym"):
         config = guider_config("fast", Problem(domain=domain))
-        assert config.low.random_goal_fraction == 0 and config.final_goal_within_reach
+        assert (config.low.random_goal_fraction, config.low.future) == (0, "last") and config.final_goal_within_reach
     elsewhere = guider_config("fast", Problem(domain="antmaze"))
-    assert elsewhere.low.random_goal_fraction == 0.5 and not elsewhere.final_goal_within_reach
+    assert (elsewhere.low.random_goal_fraction, elsewhere.low.future) == (0.5, "uniform")
+    assert not elsewhere.final_goal_within_reach
+
+
+@pytest.mark.parametrize("future", ["uniform", "last"])
+def test_the_low_level_learns_of_the_final_goals_that_are_asked_for(monkeypatch, future):
+    episodes, seen = make_ragged(recorded_goals=False), []
+    config = tiny(override(guider_config("fast", Problem(0.5, 1.0, 5)), {"low.future": future}))
+    data, scale = prepare(config.view, config.problem, episodes)
+    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
+    relabel = method.relabel_low
+    monkeypatch.setattr(method, "relabel_low", lambda c, s, batch, key: seen.append(batch) or relabel(c, s, batch, key))
+    method.stages(config)[-1].update(state, data, jax.random.key(1))
+    ends = episodes.achieved[episodes.ends]
+    at_an_end = (np.asarray(seen[0].goal)[:, None] == ends).all(axis=-1).any(axis=1)
+    assert at_an_end.all() == (future == "last")
 
 
 def test_targets_start_as_copies_of_the_critics():
