@@ -38,8 +38,8 @@ from guider.support import plugins
 from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 11
-EARLIER = (6, 7, 8, 9, 10)
+FORMAT = 12
+EARLIER = (6, 7, 8, 9, 10, 11)
 """Read too: settings that came later have defaults that are what was done before."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -25,11 +26,14 @@ from guider.errors import GuiderError
 from guider.learning.problem import Problem
 from guider.learning.processor import settled
 from guider.learning.training import Position
+from guider.methods import METHODS
 from guider.methods import guider as method
 from guider.methods.guider import guider_config
 from guider.methods.view import prepare
 from guider.runs import checkpoint
+from guider.runs.run import EARLIER, FORMAT
 from guider.support import files
+from guider.support.config import flatten, to_dict
 from guider.support.files import read_json
 
 
@@ -74,6 +78,14 @@ guider.train(data={str(logs)!r}, out={str(tmp_path / "killed")!r}, on_chunk=die,
     assert_bit_equal(resumed, whole)
     totals = [line["total_updates"] for line in files.read_lines(tmp_path / "killed" / "metrics.jsonl")]
     assert totals == sorted(set(totals)) and totals[-1] == 24
+
+
+def test_a_setting_more_or_less_raises_the_run_format():
+    """Or runs made before it could not be read. Settings have changed: raise FORMAT, keep the former one in EARLIER."""
+    names = {name: sorted(flatten(to_dict(made.config_type()))) for name, made in METHODS.items()}
+    digest = hashlib.blake2b(json.dumps(names).encode(), digest_size=8).hexdigest()
+    assert (FORMAT, digest) == (12, "6e0892a4f38660ce")
+    assert EARLIER == tuple(range(6, FORMAT))
 
 
 def test_a_run_of_an_earlier_version_goes_on(tmp_path):
