@@ -45,7 +45,6 @@ from guider.support.config import (
     Changes,
     check_fraction,
     check_positive,
-    override,
     under,
 )
 
@@ -396,12 +395,6 @@ FAST_IN_DOMAIN: ByDomain = {
 }
 
 
-FAST_WITH_ROUTES: ByDomain = {
-    # Subgoals that are logged places ask no more of the low level than it has seen, and less of it does as well.
-    "antmaze": {"low.updates": 20_000},
-}
-
-
 def guider_config(
     preset: Preset,
     problem: Problem,
@@ -419,8 +412,6 @@ def guider_config(
         return paper
     paper = replace(paper, low=replace(paper.low, learner=fast_learner(goal_learner, problem.domain)))
     config = fast(paper, FAST, FAST_IN_DOMAIN)
-    if planner == "routes":
-        config = override(config, FAST_WITH_ROUTES.get(problem.domain, {}))
     return replace(config, low=replace(config.low, updates=round(config.low.updates * low_updates)))
 
 
