@@ -22,6 +22,7 @@ import numpy as np
 import guider
 from benchmarks.common import print_table
 from benchmarks.robots import ROBOTS, Logged, logs
+from guider.commands.options import assignments
 from guider.data.episodes import Episodes
 from guider.evaluation.rollouts import rollout
 from guider.support import files
@@ -56,8 +57,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a JSON file that results are added to as they come")
     arguments = parser.parse_args()
     options: dict[str, Any] = {"period_steps": arguments.period_steps} if arguments.period_steps else {}
-    if arguments.set:
-        options["settings"] = dict(setting.split("=", 1) for setting in arguments.set)
+    if settings := assignments(tuple(arguments.set)):
+        options["settings"] = settings
     rows: list[dict[str, Any]] = (
         json.loads(arguments.out.read_text()) if arguments.out and arguments.out.exists() else []
     )
