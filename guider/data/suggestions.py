@@ -8,7 +8,7 @@ from guider.data.episodes import Episodes
 
 _LEAST_TRAVEL, _LEAST_ENDS = 0.1, 0.3
 _SPEED_CORRELATION = 0.8
-_PERIOD_RADII, _LEAST_PERIOD = 3.0, 5
+_PERIOD_RADII, _LEAST_PERIOD, _SHORTEST_PERIOD = 3.0, 20, 5
 _RADIUS_OF_EXTENT, _RADIUS_OF_STEP = 0.03, 2.0
 
 
@@ -53,7 +53,8 @@ def suggested_radius(episodes: Episodes) -> float:
 
 def suggested_period(episodes: Episodes, radius: float) -> int:
     """c, steps between subgoals: the fewest in which windows that move (further than `radius`) go three radii in the
-    median; 5 at least, a third of the median episode at most. Antmaze's come to some 50 so, the paper's number.
+    median; 20 at least, within which a robot can change its speed, but a third of the median episode at most. Antmaze's
+    come to some 50 so, the paper's number.
     """
     achieved, last = episodes.achieved.astype(np.float64), episodes.last_rows
     rows = np.arange(len(achieved))
@@ -65,8 +66,8 @@ def suggested_period(episodes: Episodes, radius: float) -> int:
         return len(moved) > 0 and float(np.median(moved)) >= _PERIOD_RADII * radius
 
     longest = int(episodes.lengths.max()) - 1
-    low = min(_LEAST_PERIOD, longest)
-    high = max(low, min(int(np.median(episodes.lengths)) // 3, longest))
+    high = min(max(_SHORTEST_PERIOD, int(np.median(episodes.lengths)) // 3), longest)
+    low = min(_LEAST_PERIOD, high)
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if goes_far(middle) else (middle + 1, high)

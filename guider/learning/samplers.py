@@ -15,6 +15,8 @@ from guider.learning.windows import Data
 
 Future = Literal["uniform", "geometric", "last"]
 """Which state ahead becomes a goal: any with equal chance, nearer ones rather, or the episode's last."""
+Ahead = Literal["uniform", "last"]
+"""And which of the next steps' states a subgoal."""
 
 
 class Windows(NamedTuple):
@@ -238,15 +240,17 @@ def sample_low(
     batch_size: int,
     subgoal_steps: int,
     kept_steps: int,
+    ahead: Ahead,
     future: Future,
     relabel_fraction: float,
     random_goal_fraction: float,
 ) -> LowBatch:
     """Low-level transitions with hindsight subgoals (Algorithm 1, lines 14-16).
 
-    g_sub = s^G_j with j uniform in [t + 1, min(k + subgoal_steps, T)]; g_final = s^G_i with i in [j, T] as `future`
-    says, j included: every final approach looks like that. k <= t is where g_sub was chosen: t itself where kept_steps
-    is 1, else uniform over the kept_steps states, of the same episode, that end with t.
+    g_sub = s^G_j with j in [t + 1, min(k + subgoal_steps, T)], uniform or the last as `ahead` says; g_final = s^G_i
+    with i in [j, T] as `future` says, j included: every final approach looks like that. k <= t is where g_sub was
+    chosen: t itself where kept_steps is 1, else uniform over the kept_steps states, of the same episode, that end
+    with t.
     """
     row_key, subgoal_key, goal_key = jax.random.split(key, 3)
     rows = _choose(row_key, data.transition_rows, batch_size)
@@ -257,7 +261,7 @@ def sample_low(
         earliest = jnp.maximum(first, rows - kept_steps + 1)
         chosen_at = jax.random.randint(jax.random.fold_in(key, 3), rows.shape, earliest, rows + 1)
     furthest = jnp.minimum(chosen_at + subgoal_steps, last)
-    subgoal_rows = jax.random.randint(subgoal_key, rows.shape, rows + 1, furthest + 1)
+    subgoal_rows = furthest if ahead == "last" else jax.random.randint(subgoal_key, rows.shape, rows + 1, furthest + 1)
     goal, _ = _goals(data, goal_key, subgoal_rows, last, relabel_fraction, random_goal_fraction, future)
     return LowBatch(
         **_steps(data, rows),

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from guider.learners import AwrConfig, LearnerConfig, Transitions
 from guider.learning import losses
 from guider.learning.problem import Problem
-from guider.learning.samplers import LowBatch
+from guider.learning.samplers import Ahead, LowBatch
 from guider.methods.view import Scale
 from guider.support.config import Changes, check_fraction, check_networks, check_not_negative, check_shares
 
@@ -29,6 +29,8 @@ class GoalPolicyConfig:
     hidden: tuple[int, ...] = (256, 256, 256)
     subgoal_slack_steps: int = 0
     """Subgoals come from (t, t + c + slack]: 0 is Algorithm 1, 1 Section 4.4, 5 the authors' code."""
+    ahead: Ahead = "uniform"
+    """Which state of these becomes the subgoal: any, or the last, as for pi_h (departure)."""
     relabel_fraction: float = 0.8
     """Share of final goals relabelled with a future state; the rest are recorded goals, where data has them."""
     random_goal_fraction: float = 0.0

@@ -61,8 +61,9 @@ class GuiderConfig:
     action_scale: float = 1.0
     planner: Planner = "policy"
     """Who chooses subgoals: pi_h (Eq. 4), or the graph over logged places in its stead (departure, see routes.py)."""
-    replan: Literal["period", "reached"] = "period"
-    """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code)."""
+    replan: Literal["period", "reached", "step"] = "period"
+    """New subgoal every c steps (paper), or also as soon as the current one is reached (authors' code), or at every
+    step (departure)."""
     candidates: int = 1
     """Acting: 1 takes the mean of pi_h; more take the best, by the critic, of so many samples of rho, or of pi_h where
     `high.prior` is off: where several things may come next, a mean lies between them (departure)."""
@@ -166,6 +167,7 @@ def stages(config: GuiderConfig) -> tuple[Stage, ...]:
             settings.batch_size,
             period_steps + settings.subgoal_slack_steps,
             period_steps if settings.subgoal_input == "latent" else 1,
+            settings.ahead,
             settings.future,
             settings.relabel_fraction,
             settings.random_goal_fraction,
@@ -206,6 +208,8 @@ def acts_by(config: GuiderConfig) -> str:
         chosen = "logged place nearest to the goal by logged steps"
     elif config.candidates > 1:
         chosen = f"best of {config.candidates} samples of the {'prior' if config.high.prior else 'subgoal policy'}"
+    if config.replan == "step":
+        return f"{chosen}, a new one at every step"
     until = " or once it is reached" if config.replan == "reached" else ""
     return f"{chosen}, a new one every {config.problem.period_steps} steps{until}"
 
@@ -264,13 +268,16 @@ def act(
     """One step of the hierarchy, by the means of both policies: (actions [B, A] in [-1, 1], the new acting state).
 
     observation: [B, S]; goal: [B, G]; reset_mask: [B] bool, True where an episode begins. A new subgoal is chosen
-    there, after c steps, and, with replan == "reached", once the current one lies within reach_radius.
+    there, after c steps, and, with replan == "reached", once the current one lies within reach_radius; with "step" at
+    every step.
     """
     problem = config.problem
     achieved = observation[..., jnp.asarray(goal_indices)]
     renew = reset_mask | (acting.steps_left <= 0)
     if config.replan == "reached":
         renew |= largest_distance(achieved, acting.subgoal, problem.goal_parts) <= problem.reach_radius
+    if config.replan == "step":
+        renew = jnp.ones_like(renew)
     subgoal, latent = propose_subgoal(config, state, achieved, goal)
     subgoal = jnp.where(renew[:, None], subgoal, acting.subgoal)
     latent = jnp.where(renew[:, None], latent, acting.latent)
@@ -354,10 +361,17 @@ FAST: Changes = (
     | {"replan": "reached", "final_goal_substitution": True}
 )
 _ARM: Changes = MANIPULATION | {"latent.updates": 6_000, "low.random_goal_fraction": 0.0}
-_OWN: Changes = {"final_goal_within_reach": True, "low.random_goal_fraction": 0.0, "low.future": "last"}
+_OWN: Changes = {
+    "final_goal_within_reach": True,
+    "replan": "step",
+    "low.random_goal_fraction": 0.0,
+    "low.ahead": "last",
+    "low.future": "last",
+}
 """One's own data. A robot that can be at its goal in c steps goes there, however coarse pi_h is about it. Where an
 episode ends says what its driver meant by each action: among goals from anywhere that is lost, and of places that were
-passed by at speed it is learned to pass goals by."""
+passed by at speed it is learned to pass goals by. A subgoal means to be there in c steps, to both levels and at every
+step: of nearer ones the low level learns no pace but its driver's."""
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
     None: _OWN,

@@ -38,7 +38,7 @@ from guider.support import plugins
 from guider.support.config import from_dict, merged, to_dict
 from guider.support.files import checked, parse_json, user_path, walk
 
-FORMAT = 12
+FORMAT = 13
 EARLIER = tuple(range(6, FORMAT))
 """Read too: settings that came later have defaults that are what was done before."""
 

@@ -51,6 +51,8 @@ TABLE: Table = {
         ("still = inside & (np.diff", "still = (np.diff", "data/test_findings.py"),
     ],
     "guider/data/suggestions.py": [
+        ("low = min(_LEAST_PERIOD, high)", "low = high", "data/test_findings.py"),
+        ("// 3, longest)", "// 2, longest)", "data/test_findings.py"),
         ("varied[entry] < _LEAST_ENDS", "varied[entry] < 0", "data/test_findings.py"),
         (
             "travelled[entry] < _LEAST_TRAVEL * spans[entry]",

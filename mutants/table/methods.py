@@ -21,10 +21,11 @@ _WITHIN = "methods/test_guider.py::test_within_reach_is_what_the_prior_holds_for
 _COVERAGE = "methods/test_guider.py::test_coverage_is_the_share_within_the_priors_central_95_percent"
 _NAMED = "methods/test_hiql.py::test_a_place_that_is_named_is_found_again_and_shown_as_the_subgoal"
 _CANDIDATES = "methods/test_guider.py::test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses"
-_FINAL_GOALS = "methods/test_guider.py::test_the_low_level_learns_of_the_final_goals_that_are_asked_for"
+_GOALS_ASKED = "methods/test_guider.py::test_the_low_level_learns_of_the_goals_that_are_asked_for"
 _SUBSTITUTED = "methods/test_guider.py::test_final_goal_is_substituted_only_within_reach"
 _PERIOD = "methods/test_guider.py::test_a_new_subgoal_every_period"
 _BEGINS = "methods/test_guider.py::test_a_new_subgoal_when_an_episode_begins"
+_EACH_STEP = "methods/test_guider.py::test_a_new_subgoal_at_every_step"
 _REACHED = "methods/test_guider.py::test_a_new_subgoal_as_soon_as_reached"
 _STALE_LATENT = "methods/test_guider.py::test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen"
 
@@ -197,11 +198,13 @@ TABLE: Table = {
         ),
         ("state.scale, batch.chosen_at, batch.subgoal", "state.scale, batch.achieved, batch.subgoal", _STALE_LATENT),
         ("state.scale, achieved) if config.high.prior else policy", "state.scale, achieved)", _CANDIDATES),
-        ("            settings.future,\n", '            "uniform",\n', _FINAL_GOALS),
+        ("            settings.ahead,\n", '            "uniform",\n', _GOALS_ASKED),
+        ("            settings.future,\n", '            "uniform",\n', _GOALS_ASKED),
         ("near = distance <= reach_radius", "near = distance > reach_radius", _SUBSTITUTED),
         ("acting.steps_left <= 0)", "acting.steps_left <= 1)", _PERIOD),
         ("reset_mask | (acting.steps_left", "(acting.steps_left", _BEGINS),
         ('if config.replan == "reached":', 'if config.replan == "period":', _REACHED),
+        ("renew = jnp.ones_like(renew)", "renew = renew", _EACH_STEP),
     ],
     "guider/methods/goal_value.py": [
         ("jnp.cumprod(reward < 0, axis=1)", "(reward < 0)", _HIQL_RETURN),

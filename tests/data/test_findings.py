@@ -148,12 +148,13 @@ def test_a_lag_behind_smooth_motion():
 
 @pytest.mark.parametrize("unit", [0.001, 1.0, 1000.0])
 def test_a_period_in_which_what_moves_goes_three_radii(unit):
-    """One and a half radii in five steps: nine to ten steps for three; rests in between do not count."""
-    way = np.concatenate([np.arange(60) * 0.3, np.full(60, 59 * 0.3), 59 * 0.3 + np.arange(60) * 0.3])
+    """Three radii in 28 steps; rests in between do not count."""
+    way = np.concatenate([np.arange(60) * 0.11, np.full(60, 59 * 0.11), 59 * 0.11 + np.arange(60) * 0.11])
     rows = np.tile(way * unit, 4)[:, None]
     episodes = make_episodes(rows, np.zeros((720, 1)), [180] * 4, (0,))
-    assert suggestions.suggested_period(episodes, 1.0 * unit) == 10
-    assert suggestions.suggested_period(episodes, 0.01 * unit) == 5  # at least
+    assert suggestions.suggested_period(episodes, 1.0 * unit) == 28
+    assert suggestions.suggested_period(episodes, 0.01 * unit) == 20  # at least
     assert suggestions.suggested_period(episodes, 12 * unit) == 60  # at most a third of an episode
-    short = make_episodes(rows[:4], np.zeros((4, 1)), [4], (0,))
-    assert suggestions.suggested_period(short, 12 * unit) == 3
+    for length, period in ((45, 15), (12, 5), (4, 3)):  # however short
+        short = make_episodes(rows[:length], np.zeros((length, 1)), [length], (0,))
+        assert suggestions.suggested_period(short, 0.01 * unit) == period

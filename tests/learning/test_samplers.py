@@ -89,7 +89,7 @@ def test_no_sample_crosses_an_episode(lengths, period, boundary, seed):
         assert np.all(goal >= np.minimum(later + offset, last[episode]))
         assert np.all(goal <= last[episode])
 
-    low = sample_low(data, key, 256, period, 1, "uniform", 1.0, 0.0)
+    low = sample_low(data, key, 256, period, 1, "uniform", "uniform", 1.0, 0.0)
     episode = np.asarray(low.achieved[:, 0], int)
     now, subgoal, goal = (np.asarray(x[:, 1]) for x in (low.achieved, low.subgoal, low.goal))
     assert np.array_equal(low.subgoal[:, 0], episode) and np.array_equal(low.goal[:, 0], episode)
@@ -106,7 +106,7 @@ def test_subgoals_that_are_kept_were_chosen_up_to_a_period_ago_in_the_same_episo
     """As acting has it: the age of a subgoal is uniform, and what it names lies within the period of where it was
     chosen."""
     data = device_data(labelled([12, 9]), 4, "clip", 0.0)
-    low = sample_low(data, jax.random.key(1), 200_000, 4, 4, "uniform", 1.0, 0.0)
+    low = sample_low(data, jax.random.key(1), 200_000, 4, 4, "uniform", "uniform", 1.0, 0.0)
     now, chosen, subgoal = (np.asarray(x[:, 1], int) for x in (low.achieved, low.chosen_at, low.subgoal))
     assert np.array_equal(low.chosen_at[:, 0], low.achieved[:, 0])
     assert np.array_equal(low.subgoal_steps, subgoal - now)
@@ -129,7 +129,7 @@ def test_windows_are_uniform_over_rows():
 
 def test_future_goals_are_uniform_and_subgoals_too():
     data = device_data(labelled([12]), 4, "clip", 0.0)
-    low = sample_low(data, jax.random.key(1), 200_000, 4, 1, "uniform", 1.0, 0.0)
+    low = sample_low(data, jax.random.key(1), 200_000, 4, 1, "uniform", "uniform", 1.0, 0.0)
     at_two = np.asarray(low.achieved[:, 1]) == 2
     subgoals = np.asarray(low.subgoal[:, 1])[at_two]
     np.testing.assert_allclose(shares(subgoals, 7)[3:7], 1 / 4, atol=0.015)
@@ -138,9 +138,18 @@ def test_future_goals_are_uniform_and_subgoals_too():
     np.testing.assert_allclose(shares(goals, 12)[6:], 1 / 6, atol=0.03)
 
 
+def test_subgoals_can_lie_a_period_ahead_of_where_they_were_chosen_or_at_the_episodes_end():
+    data = device_data(labelled([12, 7]), 4, "clip", 0.0)
+    low = sample_low(data, jax.random.key(1), 10_000, 4, 1, "last", "uniform", 1.0, 0.0)
+    now, subgoal = (np.asarray(x[:, 1], int) for x in (low.achieved, low.subgoal))
+    last = np.where(np.asarray(low.achieved[:, 0]) == 0, 11, 6)
+    assert np.array_equal(subgoal, np.minimum(now + 4, last)) and np.array_equal(low.subgoal_steps, subgoal - now)
+    assert np.array_equal(low.subgoal[:, 0], low.achieved[:, 0]) and np.all(low.goal[:, 1] >= low.subgoal[:, 1])
+
+
 def test_final_goals_can_be_where_episodes_end():
     data = device_data(labelled([12, 7]), 4, "clip", 0.0)
-    low = sample_low(data, jax.random.key(1), 100_000, 4, 1, "last", 1.0, 0.0)
+    low = sample_low(data, jax.random.key(1), 100_000, 4, 1, "uniform", "last", 1.0, 0.0)
     episode = np.asarray(low.achieved[:, 0], int)
     assert np.array_equal(low.goal, np.stack([episode, np.array([11, 6])[episode]], axis=1))
     at_two = np.asarray(low.achieved[:, 1]) == 2
@@ -209,8 +218,8 @@ def test_the_device_shares_the_memory_of_the_episodes(ragged):
 
 def test_equal_keys_give_equal_batches(ragged):
     data = device_data(ragged, 5, "clip", 0.0)
-    first = sample_low(data, jax.random.key(5), 64, 5, 1, "uniform", 0.8, 0.1)
-    second = jax.jit(lambda d, k: sample_low(d, k, 64, 5, 1, "uniform", 0.8, 0.1))(data, jax.random.key(5))
+    first = sample_low(data, jax.random.key(5), 64, 5, 1, "uniform", "uniform", 0.8, 0.1)
+    second = jax.jit(lambda d, k: sample_low(d, k, 64, 5, 1, "uniform", "uniform", 0.8, 0.1))(data, jax.random.key(5))
     assert all(jnp.array_equal(a, b) for a, b in zip(first, second, strict=True))
 
 

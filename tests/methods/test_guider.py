@@ -212,27 +212,34 @@ def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
 
 
 def test_where_episodes_end_is_what_ones_own_data_says():
-    """The low level has no other final goals there, nor is the robot kept from a goal within reach."""
+    """The low level has no other final goals there, nor is the robot kept from a goal within reach; and both levels mean
+    the same by a subgoal."""
     for domain in (None, "gym"):
         config = guider_config("fast", Problem(domain=domain))
         assert (config.low.random_goal_fraction, config.low.future) == (0, "last") and config.final_goal_within_reach
+        assert (config.low.ahead, config.replan) == ("last", "step")
     elsewhere = guider_config("fast", Problem(domain="antmaze"))
     assert (elsewhere.low.random_goal_fraction, elsewhere.low.future) == (0.5, "uniform")
-    assert not elsewhere.final_goal_within_reach
+    assert (elsewhere.low.ahead, elsewhere.replan) == ("uniform", "reached") and not elsewhere.final_goal_within_reach
 
 
-@pytest.mark.parametrize("future", ["uniform", "last"])
-def test_the_low_level_learns_of_the_final_goals_that_are_asked_for(monkeypatch, future):
+@pytest.mark.parametrize(("ahead", "future"), [("uniform", "uniform"), ("uniform", "last"), ("last", "uniform")])
+def test_the_low_level_learns_of_the_goals_that_are_asked_for(monkeypatch, ahead, future):
     episodes, seen = make_ragged(recorded_goals=False), []
-    config = tiny(override(guider_config("fast", Problem(0.5, 1.0, 5)), {"low.future": future}))
+    settings = {"low.ahead": ahead, "low.future": future}
+    config = tiny(override(guider_config("fast", Problem(0.5, 1.0, 5)), settings))
     data, scale = prepare(config.view, config.problem, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
     relabel = method.relabel_low
     monkeypatch.setattr(method, "relabel_low", lambda c, s, batch, key: seen.append(batch) or relabel(c, s, batch, key))
     method.stages(config)[-1].update(state, data, jax.random.key(1))
     ends = episodes.achieved[episodes.ends]
-    at_an_end = (np.asarray(seen[0].goal)[:, None] == ends).all(axis=-1).any(axis=1)
-    assert at_an_end.all() == (future == "last")
+
+    def at_an_end(places: jax.Array) -> np.ndarray:
+        return (np.asarray(places)[:, None] == ends).all(axis=-1).any(axis=1)
+
+    assert at_an_end(seen[0].goal).all() == (future == "last")
+    assert ((seen[0].subgoal_steps == 5) | at_an_end(seen[0].subgoal)).all() == (ahead == "last")
 
 
 def test_targets_start_as_copies_of_the_critics():
@@ -292,6 +299,10 @@ def test_a_new_subgoal_when_an_episode_begins():
 def test_a_new_subgoal_as_soon_as_reached():
     policy = constant_policy(replan="reached")
     assert renewals(policy, [0, 5, 0.5, 7, 8, 7.5]) == [True, False, True, False, False, True]
+
+
+def test_a_new_subgoal_at_every_step():
+    assert all(renewals(constant_policy(replan="step"), [0, 5, 6, 7, 8]))
 
 
 def test_final_goal_is_substituted_only_within_reach():
