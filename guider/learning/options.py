@@ -35,7 +35,8 @@ class LearningOptions(TypedDict, total=False):
     reach_radius: float
     """A subgoal counts as reached within this distance; by default the task's, or twice the radius."""
     period_steps: int
-    """Steps between subgoals (c); by default the task's, or the fewest in which what moves goes three radii."""
+    """Steps between subgoals (c); by default the task's, or the fewest from 20 on in which what moves goes three radii
+    (a third of the median episode at most)."""
     format: str
     """How to read the data, if its content does not tell: arrays, d4rl-kitchen, minari, wgcsl."""
     episode_ends: Sequence[str]

@@ -52,7 +52,7 @@ TABLE: Table = {
     ],
     "guider/data/suggestions.py": [
         ("low = min(_LEAST_PERIOD, high)", "low = high", "data/test_findings.py"),
-        ("// 3, longest)", "// 2, longest)", "data/test_findings.py"),
+        ("episodes.lengths)) // 3), longest", "episodes.lengths)) // 2), longest", "data/test_findings.py"),
         ("varied[entry] < _LEAST_ENDS", "varied[entry] < 0", "data/test_findings.py"),
         (
             "travelled[entry] < _LEAST_TRAVEL * spans[entry]",

@@ -15,6 +15,7 @@ from guider import runs
 from guider.data import AS_FOUND
 from guider.data.episodes import make_episodes
 from guider.errors import GuiderError
+from guider.learners import AwrConfig
 from guider.learning import losses
 from guider.learning.networks import Gaussian, twin_values
 from guider.learning.problem import Problem
@@ -212,15 +213,17 @@ def test_own_data_has_a_latent_for_each_goal_entry_up_to_eight():
 
 
 def test_where_episodes_end_is_what_ones_own_data_says():
-    """The low level has no other final goals there, nor is the robot kept from a goal within reach; and both levels mean
-    the same by a subgoal."""
+    """The low level has no other final goals there, nor is the robot kept from a goal within reach; both levels mean
+    the same by a subgoal, and a driver's noise is sifted."""
     for domain in (None, "gym"):
         config = guider_config("fast", Problem(domain=domain))
         assert (config.low.random_goal_fraction, config.low.future) == (0, "last") and config.final_goal_within_reach
         assert (config.low.ahead, config.replan) == ("last", "step")
+        assert isinstance(config.low.learner, AwrConfig) and config.low.learner.temperature == 0.2
     elsewhere = guider_config("fast", Problem(domain="antmaze"))
     assert (elsewhere.low.random_goal_fraction, elsewhere.low.future) == (0.5, "uniform")
     assert (elsewhere.low.ahead, elsewhere.replan) == ("uniform", "reached") and not elsewhere.final_goal_within_reach
+    assert isinstance(elsewhere.low.learner, AwrConfig) and elsewhere.low.learner.temperature == 1
 
 
 @pytest.mark.parametrize(("ahead", "future"), [("uniform", "uniform"), ("uniform", "last"), ("last", "uniform")])
@@ -316,7 +319,7 @@ def test_final_goal_is_substituted_only_within_reach():
 def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses(prior):
     """Two candidates of a distribution of no spread lie at its mean: where the prior is off, nothing of it is left."""
     episodes = make_ragged()
-    config = override(tiny(guider_config("fast", Problem(0.5, 1.0, 5))), {"high.prior": prior})
+    config = override(tiny(guider_config("fast", Problem(0.5, 1.0, 5))), {"high.prior": prior, "replan": "reached"})
     _, scale = prepare(config.view, config.problem, episodes)
     state = method.init(config, episodes.spaces, scale, jax.random.key(0))
     achieved, goal = jnp.asarray(episodes.achieved[:4]), jnp.full((4, 2), 100.0)
@@ -327,6 +330,8 @@ def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_choo
     np.testing.assert_array_equal(mean, policy.mean)
     often = ", a new one every 5 steps or once it is reached"
     assert method.acts_by(config) == f"mean of the subgoal policy{often}"
+    assert method.acts_by(replace(config, replan="step")) == "mean of the subgoal policy, a new one at every step"
+    assert method.acts_by(replace(config, replan="period")) == "mean of the subgoal policy, a new one every 5 steps"
 
     many = replace(config, candidates=32)
     assert method.acts_by(many) == f"best of 32 samples of the {'prior' if prior else 'subgoal policy'}{often}"
