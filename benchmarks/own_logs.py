@@ -1,7 +1,7 @@
 """What a newcomer gets: six robots' logs, nothing said but goal and radius, and then the robot itself.
 
 python -m benchmarks.own_logs [ROBOT ...] [--methods M ...] [--period-steps C] [--set NAME=VALUE ...]
-    [--seed N] [--episodes N] [--out FILE]
+    [--seed N] [--episodes N] [--first-seed N] [--out FILE]
 
 Each method trains on the same logs (data seed N) with the defaults for one's own data, two training seeds, and then
 drives the simulated robot from starts and to goals that the operator would meet. The named baseline is the best of bc,
@@ -29,17 +29,17 @@ from guider.support import files
 from guider.tasks import find_task
 
 METHODS = ("guider", "guider-routes", "bc", "gcsl", "hiql")
-SEEDS, FIRST_SEED = (0, 1), 3_000_000
+SEEDS = 0, 1
 
 
-def driven(robot: Logged, data: Episodes, method: str, folder: Path, episodes: int, **options: Any) -> dict[str, Any]:
-    """Train on the robot's logs, then drive it: met (%), at_goal (steps) and distance (median, at the end), each per
-    training seed."""
+def driven(robot: Logged, data: Episodes, method: str, folder: Path, starts: range, **options: Any) -> dict[str, Any]:
+    """Train on the robot's logs, then drive it from `starts`, seeds of episodes: met (%), at_goal (steps) and distance
+    (median, at the end), each per training seed."""
     run = guider.train(data=data, radius=robot.radius, method=method, seeds=SEEDS, out=folder / "run", **options)
     task = find_task(f"gym:{robot.env}")
     found: dict[str, Any] = {"met": [], "at_goal": [], "distance": []}
     for policy in run.policies():
-        done = rollout(policy, task, episodes, FIRST_SEED)
+        done = rollout(policy, task, len(starts), starts.start)
         found["met"].append(100 * float(done.success.mean()))
         found["at_goal"].append(float(done.score.mean()))
         ends = [np.linalg.norm(trace.last_state[list(task.goal_indices)] - trace.goal) for trace in done.traces]
@@ -55,6 +55,7 @@ def main() -> None:
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="other settings than the defaults")
     parser.add_argument("--seed", type=int, default=1, help="of the data")
     parser.add_argument("--episodes", type=int, default=60, help="that each policy drives")
+    parser.add_argument("--first-seed", type=int, default=3_000_000, help="of the episodes")
     parser.add_argument("--out", type=Path, help="a JSON file that results are added to as they come")
     arguments = parser.parse_args()
     options: dict[str, Any] = {"period_steps": arguments.period_steps} if arguments.period_steps else {}
@@ -65,10 +66,11 @@ def main() -> None:
     )
     for name in arguments.robots:
         data = logs(ROBOTS[name], arguments.seed)
-        said = {"robot": name, "seed": arguments.seed, "episodes": arguments.episodes}
+        starts = range(arguments.first_seed, arguments.first_seed + arguments.episodes)
+        said = {"robot": name, "seed": arguments.seed, "episodes": len(starts), "first_seed": starts.start}
         for method in arguments.methods:
             with tempfile.TemporaryDirectory() as folder:
-                found = driven(ROBOTS[name], data, method, Path(folder), arguments.episodes, **options)
+                found = driven(ROBOTS[name], data, method, Path(folder), starts, **options)
             rows.append(said | {"method": method} | options | found)
             print(json.dumps(rows[-1]), flush=True)
             if arguments.out:

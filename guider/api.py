@@ -92,8 +92,8 @@ def train(
     if task is None:
         say(
             f"a goal counts as met within {problem.radius:g}, a subgoal as reached within {problem.reach_radius:g} "
-            f"(--reach-radius); subgoals {problem.period_steps} steps ahead (--period-steps), by default the fewest from "
-            "20 on in which what moves goes three radii, a third of the median episode at most"
+            f"(--reach-radius); subgoals {problem.period_steps} steps ahead (--period-steps), by default the fewest "
+            "from 20 on in which what moves goes three radii, a third of the median episode at most"
         )
     say("compiling, which takes a minute at most for each stage")
     spec = RunSpec(
