@@ -116,7 +116,7 @@ def test_own_data_is_learned_from_whole(started):
         lines: list[str] = []
         spec = plan(started, method="guider", say=lines.append, held_out=0.0, **options)
         assert lines[1].startswith("a goal counts as met within 0.5, a subgoal as reached within 1 (--reach-radius)")
-        assert f"every {spec.config.problem.period_steps} steps" in lines[1]
+        assert f"subgoals {spec.config.problem.period_steps} steps ahead" in lines[1]
         assert lines[0] == f"{started[-1][2]['data_use']}; training multiplies in {settled('auto')}"
         return lines[0]
 

@@ -38,7 +38,7 @@ def test_a_page_says_what_inspect_does_and_loads_nothing(tmp_path, capsys):
     assert len(found.references) == 4 and all(link.startswith("data:image/png") for link in found.references)
     assert found.scripts == [] and "&lt;script&gt;" in text
     shown = capsys.readouterr().out
-    for said in ("few: expect little away from them", "look at the", "windows of 5 steps that would leave"):
+    for said in ("few: expect little away from them", "look at the", "windows of 10 steps that would leave"):
         assert said in text and said in " ".join(shown.split())
     assert main(asked) == 1 and "never overwritten; choose another --report" in capsys.readouterr().err
     assert main(["data", "fetch", "--report", str(tmp_path / "b.html")]) == 1
