@@ -47,10 +47,8 @@ class AwrConfig:
 
 
 FAST: Changes = {"advantage": "action_value", "policy": "tanh", "initialisation": "fan_in"}
-_OWN: Changes = {"temperature": 0.2}
-FAST_IN_DOMAIN: ByDomain = {None: _OWN, "gym": _OWN, "kitchen": under("regression", FROM_DEMONSTRATIONS)}
-"""What lies c steps ahead is pursued: the discount stays. Whoever drives by hand is off by noise more than by plan: of
-one's own data the actions that gain a step are taken rather."""
+FAST_IN_DOMAIN: ByDomain = {"kitchen": under("regression", FROM_DEMONSTRATIONS)}
+"""What lies c steps ahead is pursued: the discount stays."""
 
 
 class Params(NamedTuple):
