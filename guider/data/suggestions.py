@@ -53,8 +53,8 @@ def suggested_radius(episodes: Episodes) -> float:
 
 def suggested_period(episodes: Episodes, radius: float) -> int:
     """c, steps between subgoals: the fewest in which windows that move (further than `radius`) go three radii in the
-    median; 20 at least, within which a robot can change its speed, but a third of the median episode at most. Antmaze's
-    come to some 50 so, the paper's number.
+    median; 20 at least, within which a robot can change its speed, but a third of the median episode at most, or 5
+    where that is less. Antmaze's come to some 50 so, the paper's number.
     """
     achieved, last = episodes.achieved.astype(np.float64), episodes.last_rows
     rows = np.arange(len(achieved))
