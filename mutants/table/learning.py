@@ -107,6 +107,7 @@ TABLE: Table = {
         ("+ steps <= episodes.last_rows", "+ steps < episodes.last_rows", "learning/test_samplers.py"),
     ],
     "guider/learning/samplers.py": [
+        ('furthest if ahead == "last"', 'last if ahead == "last"', "learning/test_samplers.py"),
         ('"action": data.actions[rows]', '"action": data.actions[rows + 1]', "learning/test_samplers.py"),
         (
             '"next_achieved": data.achieved[rows + 1]',
