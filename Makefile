@@ -15,7 +15,7 @@ DATA := datasets/demo-pointmaze-large.hdf5
 demo: .venv/installed  ## Record data, train, evaluate and draw: a few minutes on two cores.
 	rm -rf $(RUN) $(DATA)
 	$(BIN)/guider collect pointmaze-large --out $(DATA)
-	$(BIN)/guider train pointmaze-large --method guider-routes --data $(DATA) --out $(RUN) --set latent.updates=3000 low.updates=6000
+	$(BIN)/guider train pointmaze-large --method guider-routes --data $(DATA) --out $(RUN) --set low.updates=6000
 	$(BIN)/guider evaluate $(RUN)
 	$(BIN)/guider plot $(RUN)
 

@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import json
 import types
+from functools import reduce
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -39,17 +40,31 @@ def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config
 
 
 def override(config: C, assignments: Changes) -> C:
-    """Replace settings named by dotted paths. Texts are read as typed on a command line: {"high.samples": "4"}."""
+    """Replace settings named by dotted paths. Texts are read as typed on a command line: {"high.samples": "4"}.
+
+    Another `kind` comes with its own settings, those that are not named as they are by default.
+    """
     values = to_dict(config)
-    for path, text in assignments.items():
+    for path, text in sorted(assignments.items(), key=lambda assignment: not assignment[0].endswith(".kind")):
         *parents, name = path.split(".")
         inner = values
         for parent in parents:
             inner = inner.get(parent) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name not in inner or isinstance(inner[name], dict):
             raise GuiderError(f"no setting is called {path!r}; {names_like(path, flatten(values))}")
-        inner[name] = _parse(text) if isinstance(text, str) else text
+        if name == "kind" and text != inner[name]:
+            inner.clear()
+            inner |= to_dict(_default_of_kind(config, parents, text))
+        else:
+            inner[name] = _parse(text) if isinstance(text, str) else text
     return from_dict(type(config), values)
+
+
+def _default_of_kind(config: Any, parents: list[str], kind: str) -> Any:
+    """What stands where `parents` lead to, were it of another kind."""
+    *above, name = parents
+    options = list(get_args(get_type_hints(type(reduce(getattr, above, config)))[name]))
+    return _of_kind(options, kind, ".".join(["config", *parents]))()
 
 
 def differences(config: Any, reference: Any) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from mutants.mutation import Table
 
+_ROUTES_LEARN = "methods/test_guider.py::test_what_routes_need_not_learn_is_not_trained_at_length"
 _FIGURE_4 = "methods/test_methods.py::test_figure_4_compares_equal_learners"
 _LATENT = "methods/test_updates.py::test_latent_model"
 _CQL_LEVEL = "methods/test_updates.py::test_high_level_with_cql"
@@ -189,6 +190,7 @@ TABLE: Table = {
     ],
     "guider/methods/guider.py": [
         ("learner=fast_learner(goal_learner, problem.domain)", "learner=goal_learner", _FIGURE_4),
+        ("ROUTES_FAST_IN_DOMAIN.get(problem.domain, {})", "{}", _ROUTES_LEARN),
         ("reward=losses.goal_reward(batch.later,", "reward=losses.goal_reward(batch.achieved,", _RELABEL),
         ("prior(params, state.scale, batch.later)", "prior(params, state.scale, batch.achieved)", _RELABEL),
         (

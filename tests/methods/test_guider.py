@@ -15,6 +15,7 @@ from guider import runs
 from guider.data import AS_FOUND
 from guider.data.episodes import make_episodes
 from guider.errors import GuiderError
+from guider.learners import GcslConfig, IqlConfig
 from guider.learning import losses
 from guider.learning.networks import Gaussian, twin_values
 from guider.learning.problem import Problem
@@ -91,6 +92,16 @@ def test_presets_are_what_they_say():
     assert parts.problem.goal_parts == ((0,), (1, 2)) and parts.latent.latent_dim == 8
 
 
+def test_what_routes_need_not_learn_is_not_trained_at_length():
+    def changed(domain: str | None) -> dict:
+        problem = Problem(0.5, 1.0, 50, domain=domain)
+        return differences(guider_config("fast", problem, planner="routes"), guider_config("fast", problem))
+
+    antmaze = {"latent.updates": 3_000, "low.updates": 40_000, "low.learner.temperature": 0.02}
+    assert changed("antmaze") == {"planner": "routes"} | antmaze
+    assert changed(None) == {"planner": "routes"}, "whether a goal lies within reach is the latent model's to say"
+
+
 def test_configs_survive_json_and_name_their_faults():
     config = guider_config("fast", Problem(0.25, 0.5, 20))
     assert from_dict(GuiderConfig, to_dict(config)) == config
@@ -111,6 +122,17 @@ def test_configs_survive_json_and_name_their_faults():
     }.items():
         with pytest.raises(GuiderError, match=message):
             override(config, dict([change]))
+
+
+def test_another_learner_comes_with_its_own_settings():
+    config = guider_config("fast", Problem(0.25, 0.5, 20))
+    assert override(config, {"low.learner.kind": "gcsl"}).low.learner == GcslConfig()
+    assert override(config, {"low.learner.discount": "0.5", "low.learner.kind": "iql"}).low.learner == IqlConfig(
+        discount=0.5
+    )
+    assert override(config, {"low.learner.kind": "awr"}) == config, "what it is already keeps its settings"
+    with pytest.raises(GuiderError, match="no setting is called"):
+        override(config, {"low.learner.kind": "gcsl", "low.learner.temperature": "1"})
 
 
 def test_low_inputs_and_reward_by_hand():
