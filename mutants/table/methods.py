@@ -2,6 +2,7 @@
 
 from mutants.mutation import Table
 
+_OTHER_KIND = "methods/test_guider.py::test_another_learner_comes_with_its_own_settings"
 _ROUTES_LEARN = "methods/test_guider.py::test_what_routes_need_not_learn_is_not_trained_at_length"
 _FIGURE_4 = "methods/test_methods.py::test_figure_4_compares_equal_learners"
 _LATENT = "methods/test_updates.py::test_latent_model"
@@ -187,6 +188,10 @@ TABLE: Table = {
             "seen_goal = (goal - achieved) / scale.step_std",
             _LOW_INPUTS,
         ),
+    ],
+    "guider/support/config.py": [
+        ('if name == "kind" and text != inner[name]', 'if name == "kind"', _OTHER_KIND),
+        ('not assignment[0].endswith(".kind")', 'assignment[0].endswith(".kind")', _OTHER_KIND),
     ],
     "guider/methods/guider.py": [
         ("learner=fast_learner(goal_learner, problem.domain)", "learner=goal_learner", _FIGURE_4),
