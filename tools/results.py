@@ -158,7 +158,7 @@ def grid(cells: Sequence[dict[str, str]], columns: Sequence[str] = ()) -> str:
 TABLES = {
     "antmaze": ("guider-fast", "`guider collect`", ()),
     "headline": ("guider-fast", "`guider collect`", SHORT),
-    "antmaze-routes": ("guider-routes-fast", "`guider collect`", ()),
+    "antmaze-routes": ("guider-routes-40k", "`guider collect`", ()),
     "antmaze-d4rl-policy": ("d4rl-policy-guider-fast", "D4RL's own ant policy", ()),
 }
 """name -> (the runs' variant, what their data is, columns or () for all)."""

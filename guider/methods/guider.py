@@ -413,7 +413,7 @@ FAST_IN_DOMAIN: ByDomain = {
 _FEW_LATENT: Changes = {"latent.updates": 3_000}
 ROUTES_FAST_IN_DOMAIN: ByDomain = {
     # One action of a way gains a fiftieth of a step on the logs' mean, or loses it: that is what adds up.
-    "antmaze": _FEW_LATENT | {"low.updates": 40_000, "low.learner.temperature": 0.02},
+    "antmaze": _FEW_LATENT | {"low.learner.temperature": 0.02},
     "pointmaze": _FEW_LATENT,
     "ogbench-pointmaze": _FEW_LATENT,
     "ogbench-puzzle": _FEW_LATENT,
