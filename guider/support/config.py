@@ -42,7 +42,7 @@ def from_dict(config_type: type[C], values: dict[str, Any], where: str = "config
 def override(config: C, assignments: Changes) -> C:
     """Replace settings named by dotted paths. Texts are read as typed on a command line: {"high.samples": "4"}.
 
-    Another `kind` comes with its own settings, those that are not named as they are by default.
+    Another `kind` comes with its own settings, those that are not named as preset `paper` has them.
     """
     values = to_dict(config)
     for path, text in sorted(assignments.items(), key=lambda assignment: not assignment[0].endswith(".kind")):
@@ -52,11 +52,12 @@ def override(config: C, assignments: Changes) -> C:
             inner = inner.get(parent) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name not in inner or isinstance(inner[name], dict):
             raise GuiderError(f"no setting is called {path!r}; {names_like(path, flatten(values))}")
-        if name == "kind" and text != inner[name]:
+        value = _parse(text) if isinstance(text, str) else text
+        if name == "kind" and parents and isinstance(value, str) and value != inner[name]:
             inner.clear()
-            inner |= to_dict(_default_of_kind(config, parents, text))
+            inner |= to_dict(_default_of_kind(config, parents, value))
         else:
-            inner[name] = _parse(text) if isinstance(text, str) else text
+            inner[name] = value
     return from_dict(type(config), values)
 
 
@@ -68,9 +69,9 @@ def _default_of_kind(config: Any, parents: list[str], kind: str) -> Any:
 
 
 def differences(config: Any, reference: Any) -> dict[str, Any]:
-    """Dotted names and values of the settings in which `config` departs from `reference`."""
+    """Dotted names and values of the settings in which `config` departs from `reference`, or that this lacks."""
     ours, theirs = flatten(to_dict(config)), flatten(to_dict(reference))
-    return {name: value for name, value in ours.items() if value != theirs[name]}
+    return {name: value for name, value in ours.items() if name not in theirs or value != theirs[name]}
 
 
 def flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -137,7 +138,7 @@ def _of_kind(options: list[Any], value: Any, where: str) -> Any:
     """The config among several whose `kind` the value names."""
     kinds = {get_args(get_type_hints(option)["kind"])[0]: option for option in options}
     kind = value.get("kind") if isinstance(value, dict) else value
-    if kind not in kinds:
+    if kind not in list(kinds):
         raise GuiderError(f"{where}.kind must be one of {', '.join(kinds)}, got {kind!r}")
     return kinds[kind]
 

@@ -190,7 +190,8 @@ TABLE: Table = {
         ),
     ],
     "guider/support/config.py": [
-        ('if name == "kind" and text != inner[name]', 'if name == "kind"', _OTHER_KIND),
+        (" and value != inner[name]", "", _OTHER_KIND),
+        ("name not in theirs or ", "", _OTHER_KIND),
         ('not assignment[0].endswith(".kind")', 'assignment[0].endswith(".kind")', _OTHER_KIND),
     ],
     "guider/methods/guider.py": [

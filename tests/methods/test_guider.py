@@ -131,6 +131,10 @@ def test_another_learner_comes_with_its_own_settings():
         discount=0.5
     )
     assert override(config, {"low.learner.kind": "awr"}) == config, "what it is already keeps its settings"
+    departures = differences(override(config, {"low.learner.kind": "cql"}), config)
+    assert departures["low.learner.kind"] == "cql" and "low.learner.samples" in departures
+    with pytest.raises(GuiderError, match="kind must be one of awr"):
+        override(config, {"low.learner.kind": ["gcsl"]})
     with pytest.raises(GuiderError, match="no setting is called"):
         override(config, {"low.learner.kind": "gcsl", "low.learner.temperature": "1"})
 
