@@ -111,6 +111,10 @@ def test_a_killed_run_is_resumed_to_the_same_result(made, tmp_path):
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    with hold(
+        out / ".lock", "the training, which has the lock too, takes a moment longer to die", waiting=lambda _: None
+    ):
+        pass
     assert files.read_lines(run / "metrics.jsonl")[-1]["total_updates"] < 3008
     plan = make_plan("table1", protocol_in(made, out=out), [TASK], ["guider"])
     assert runner.state(plan, plan.runs[0]) == "interrupted"
