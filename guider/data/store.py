@@ -14,7 +14,8 @@ from typing import BinaryIO
 import h5py
 import numpy as np
 
-from guider.data.episodes import EndSign, to_float32
+from guider.data.arrays import to_float32
+from guider.data.episodes import EndSign
 from guider.data.safety import Declared, check_path, look_into_hdf5, look_into_npz, memory_fault, size_fault
 from guider.errors import GuiderError, GuiderWarning
 

@@ -17,6 +17,8 @@ TABLE: Table = {
         ("np.sort(order[n_held:])", "np.sort(order)", "data/test_episodes.py"),
         ("is_action[np.cumsum(lengths) - 1]", "is_action[np.cumsum(lengths)[:-1] - 1]", "data/test_episodes.py"),
         ("keep = np.repeat(lengths >= 2, lengths)", "keep = np.repeat(lengths > 2, lengths)", "data/test_episodes.py"),
+    ],
+    "guider/data/arrays.py": [
         ("_BOUND_TOLERANCE = 2e-3", "_BOUND_TOLERANCE = 0.0", "data/test_episodes.py"),
         ("as_seen = ~in_box.all() |", "as_seen = ~in_box |", "data/test_episodes.py"),
         ("_MOST_LOST * (high[coarse] - low[coarse])", "_MOST_LOST", "data/test_episodes.py"),

@@ -9,7 +9,7 @@ import pytest
 from recordings import GOAL, ends, walk, write_hdf5, write_npz
 
 from guider.data import load
-from guider.data.ends import find_jumps
+from guider.data.motion import find_jumps
 from guider.errors import GuiderError, GuiderWarning
 
 LENGTHS = [20, 35, 27, 40]
