@@ -25,6 +25,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "true")
 
 import jax
+import jax.numpy as jnp
 
 from guider.data.episodes import Episodes, make_episodes
 from guider.evaluation import fitted, imagined
@@ -32,7 +33,7 @@ from guider.learning.problem import Problem
 from guider.learning.training import init_seeds, train
 from guider.methods import METHODS
 from guider.methods.guider import GuiderConfig, GuiderState, guider_config
-from guider.methods.view import prepare
+from guider.methods.view import Scale, prepare
 from guider.support.config import flatten, override, to_dict
 from guider.tasks import Task
 
@@ -74,6 +75,11 @@ def make_ragged(lengths=(7, 30, 2, 12, 55), recorded_goals: bool = True, seed: i
         goals=np.full((rows, 2), 1000.0) if recorded_goals else None,
         source="ragged test data",
     )
+
+
+def plain_scale() -> Scale:
+    """States of 4 entries and goals of 2, shown as they are."""
+    return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
 
 
 def labelled(lengths: list[int] | np.ndarray, recorded: bool = False) -> Episodes:

@@ -1,47 +1,27 @@
-"""The method's parts against hand-worked cases, and its switches."""
+"""What the method is trained on, against hand-worked cases, its presets and its switches."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import make_ragged, tiny, train_guider
+from conftest import make_ragged, plain_scale, tiny
 
-from guider import runs
-from guider.data import AS_FOUND
 from guider.data.episodes import make_episodes
 from guider.errors import GuiderError
 from guider.learners import GcslConfig, IqlConfig
-from guider.learning import losses
-from guider.learning.networks import Gaussian, twin_values
 from guider.learning.problem import Problem
-from guider.learning.samplers import HighBatch, LowBatch, Windows
-from guider.learning.training import init_seeds, train
-from guider.methods import METHODS, latent_subgoals, subgoal_policy
+from guider.learning.samplers import HighBatch, LowBatch
+from guider.methods import METHODS, latent_subgoals
 from guider.methods import guider as method
 from guider.methods.guider import GuiderConfig, guider_config
-from guider.methods.latent_subgoals import LatentSubgoalsConfig
 from guider.methods.policy import Policy, act, initial_state
 from guider.methods.view import Scale, ViewConfig, prepare
 from guider.support.config import differences, from_dict, override, to_dict
-
-
-def policy_of(config, episodes, seeds=(0,)) -> Policy:
-    state = train_guider(config, episodes, seeds)
-    return Policy(
-        jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), state),
-        jnp.asarray(episodes.action_low),
-        jnp.asarray(episodes.action_high),
-        "guider",
-        config,
-        episodes.goal_indices,
-        episodes.observations.shape[1],
-    )
-
 
 SWITCHES = {
     "paper": {},
@@ -179,45 +159,6 @@ def test_high_relabelling_by_hand():
         np.testing.assert_array_equal(prior.mean, expected.mean)
 
 
-def test_coverage_is_the_share_within_the_priors_central_95_percent(monkeypatch):
-    """Of moves named by their length, where N(0, 2^2) is expected: |z| <= 1.96 * 2."""
-    monkeypatch.setattr(latent_subgoals, "encode", lambda c, p, s, here, later: Gaussian(later - here, 0 * here))
-    monkeypatch.setattr(latent_subgoals, "prior", lambda p, s, here: Gaussian(0 * here, 0 * here + jnp.log(2.0)))
-    moves = jnp.array([[1.0], [3.5], [-3.9], [3.95], [-5.0]])
-    config, state = GuiderConfig().latent, jnp.zeros(0)
-    covered = latent_subgoals.coverage(config, cast(Any, state), plain_scale(), jnp.ones((5, 1)), 1 + moves)
-    assert float(covered) == pytest.approx(3 / 5)
-
-
-def test_within_reach_is_what_the_prior_holds_for_likely_and_decodes_to(monkeypatch):
-    """Two latents, N(0, 2^2) and N(0, 1); what is decoded stops 1.5 away from where it starts, in the first entry."""
-    monkeypatch.setattr(latent_subgoals, "encode", lambda c, p, s, here, later: Gaussian(later - here, 0 * here))
-    spread = jnp.log(jnp.array([2.0, 1.0]))
-    monkeypatch.setattr(latent_subgoals, "prior", lambda p, s, here: Gaussian(0 * here, 0 * here + spread))
-
-    def decode(config, params, scale, here, latent):
-        return here + jnp.stack([jnp.clip(latent[:, 0], -1.5, 1.5), latent[:, 1]], axis=1)
-
-    monkeypatch.setattr(latent_subgoals, "decode", decode)
-    moves = jnp.array([[1.0, 0.0], [1.0, 1.9], [1.0, 2.0], [1.9, 0.0], [2.1, 0.0], [-4.0, 0.0]])
-    config, state = GuiderConfig().latent, cast(Any, jnp.zeros(0))
-    found = latent_subgoals.within_reach(config, state, plain_scale(), jnp.ones((6, 2)), 1 + moves, 0.5)
-    assert found.tolist() == [True, True, False, True, False, False]
-
-
-@pytest.mark.parametrize("asked", [True, False])
-def test_a_final_goal_within_reach_is_pursued(monkeypatch, asked):
-    monkeypatch.setattr(
-        latent_subgoals, "within_reach", lambda c, p, s, here, place, r, parts: jnp.array([True, False])
-    )
-    paper = guider_config("paper", Problem(0.1, 0.2, 5))
-    config = replace(paper, final_goal_substitution=True, final_goal_within_reach=asked)
-    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(1))
-    goal = jnp.full((2, 2), 9.0)
-    subgoal, _ = method.propose_subgoal(config, state, jnp.zeros((2, 2)), goal)
-    assert (subgoal == goal).all(axis=1).tolist() == [asked, False]
-
-
 @pytest.mark.parametrize("name", ["guider", "hiql", "gcsl"])
 def test_little_data_of_ones_own_is_not_learned_by_heart(name):
     """120 passes over 25,600 transitions in batches of 256 are 12,000 updates."""
@@ -277,98 +218,6 @@ def test_targets_start_as_copies_of_the_critics():
         assert all(jnp.array_equal(a, b) for a, b in pairs)
 
 
-def plain_scale() -> Scale:
-    return Scale(jnp.zeros(4), jnp.ones(4), jnp.zeros(2), jnp.ones(2), jnp.ones(2), jnp.zeros(0))
-
-
-def constant_policy(**acting) -> Policy:
-    """Untrained policy whose networks are zero: it proposes its own position and never moves."""
-    config = tiny(replace(guider_config("paper", Problem(0.5, 1.0, 3)), **acting))
-    config = replace(config, latent=replace(config.latent, relative=True))
-    state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(0))
-    state = state._replace(
-        latent=jax.tree.map(jnp.zeros_like, state.latent),
-        high=jax.tree.map(jnp.zeros_like, state.high),
-        low=jax.tree.map(jnp.zeros_like, state.low),
-    )
-    return Policy(state, jnp.array([0.0, -2.0]), jnp.array([4.0, 2.0]), "guider", config, (0, 1), 4)
-
-
-def renewals(policy: Policy, positions, resets=(0,)) -> list[bool]:
-    """Whether the subgoal is new at each step; a subgoal is the position it was proposed at. resets: steps at which an
-    episode begins."""
-    acting, seen = initial_state(policy, 1), []
-    for step, x in enumerate(positions):
-        observation = jnp.array([[x, 0.0, 0.0, 0.0]])
-        actions, acting = act(policy, observation, jnp.array([[100.0, 0.0]]), acting, jnp.array([step in resets]))
-        assert actions.tolist() == [[2.0, 0.0]], "zero network output is the middle of the action bounds"
-        seen.append(float(acting.subgoal[0, 0]) == x)
-    return seen
-
-
-def test_a_new_subgoal_every_period():
-    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9, 10]) == [
-        True,
-        False,
-        False,
-        True,
-        False,
-        False,
-        True,
-    ]
-
-
-def test_a_new_subgoal_when_an_episode_begins():
-    assert renewals(constant_policy(), [0, 5, 6, 7, 8, 9], resets=(0, 2)) == [True, False, True, False, False, True]
-
-
-def test_a_new_subgoal_as_soon_as_reached():
-    policy = constant_policy(replan="reached")
-    assert renewals(policy, [0, 5, 0.5, 7, 8, 7.5]) == [True, False, True, False, False, True]
-
-
-def test_a_new_subgoal_at_every_step():
-    assert all(renewals(constant_policy(replan="step"), [0, 5, 6, 7, 8]))
-
-
-def test_final_goal_is_substituted_only_within_reach():
-    policy = constant_policy(final_goal_substitution=True)
-    goal = jnp.array([[0.9, 0.0], [1.1, 0.0]])
-    subgoal, _ = method.propose_subgoal(policy.config, policy.state, jnp.zeros((2, 2)), goal)
-    np.testing.assert_allclose(subgoal, [[0.9, 0.0], [0.0, 0.0]])
-
-
-@pytest.mark.parametrize("prior", [True, False])
-def test_candidates_are_the_priors_or_without_it_the_policys_and_the_critic_chooses(prior):
-    """Two candidates of a distribution of no spread lie at its mean: where the prior is off, nothing of it is left."""
-    episodes = make_ragged()
-    config = override(tiny(guider_config("fast", Problem(0.5, 1.0, 5))), {"high.prior": prior, "replan": "reached"})
-    _, scale = prepare(config.view, config.problem, episodes)
-    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
-    achieved, goal = jnp.asarray(episodes.achieved[:4]), jnp.full((4, 2), 100.0)
-    inputs = subgoal_policy.inputs(scale, achieved, goal)
-    policy = subgoal_policy.propose(state.high.params, inputs)
-    source = latent_subgoals.prior(state.latent.params, scale, achieved) if prior else policy
-    _, mean = method.propose_subgoal(config, state, achieved, goal)
-    np.testing.assert_array_equal(mean, policy.mean)
-    often = ", a new one every 5 steps or once it is reached"
-    assert method.acts_by(config) == f"mean of the subgoal policy{often}"
-    assert method.acts_by(replace(config, replan="step")) == "mean of the subgoal policy, a new one at every step"
-    assert method.acts_by(replace(config, replan="period")) == "mean of the subgoal policy, a new one every 5 steps"
-
-    many = replace(config, candidates=32)
-    assert method.acts_by(many) == f"best of 32 samples of the {'prior' if prior else 'subgoal policy'}{often}"
-    _, chosen = method.propose_subgoal(many, state, achieved, goal)
-    _, once_more = method.propose_subgoal(many, state, achieved, goal)
-    np.testing.assert_array_equal(chosen, once_more)
-    elsewhere = source.sample(jax.random.key(5), (500,)).swapaxes(0, 1)
-    values = twin_values(state.high.params.critic, inputs, elsewhere).min(axis=0)
-    best = twin_values(state.high.params.critic, inputs, chosen).min(axis=0)
-    assert bool(jnp.all(best > jnp.quantile(values, 0.8, axis=1))), "better than most of what it offers"
-    drawn = source.sample(jax.random.key(0), (32,)).swapaxes(0, 1)
-    assert bool(jnp.all((drawn == chosen[:, None]).all(axis=-1).any(axis=1))), "one of its samples"
-
-
 def test_without_decoder_z_is_encoded_where_the_subgoal_was_chosen():
     config = override(guider_config("paper", Problem(0.5, 1.0, 5)), {"low.subgoal_input": "latent"})
     state = method.init(config, make_ragged().spaces, plain_scale(), jax.random.key(0))
@@ -392,84 +241,3 @@ def test_small_spreads_of_goal_entries_are_not_blown_up():
     assert scale.goal_std[1] == scale.state_std[1] == scale.step_std[1] == np.float32(0.1)
     assert scale.goal_std[0] == plain.goal_std[0] > 0.1
     np.testing.assert_array_equal(scale.state_std[2:], plain.state_std[2:])
-
-
-def untrained(config, episodes) -> Policy:
-    _, scale = prepare(config.view, config.problem, episodes)
-    state = method.init(config, episodes.spaces, scale, jax.random.key(0))
-    return Policy(state, -jnp.ones(2), jnp.ones(2), "guider", config, (0, 1), 4)
-
-
-def test_actions_are_scaled_towards_the_resting_action(fast_config, ragged):
-    """0, or the bound nearest to it: a throttle that rests at an end of its range stays there."""
-    low, high, rest = jnp.array([-1.0, 2.0]), jnp.array([1.0, 6.0]), jnp.array([0.0, 2.0])
-    policy = replace(untrained(fast_config, ragged), action_low=low, action_high=high)
-    gentle = replace(policy, config=replace(fast_config, action_scale=0.25))
-    inputs = jnp.ones((1, 4)), jnp.ones((1, 2)), initial_state(policy, 1), jnp.ones(1, bool)
-    (full, _), (quarter, _) = act(policy, *inputs), act(gentle, *inputs)
-    np.testing.assert_allclose(quarter[0] - rest, 0.25 * (full[0] - rest), rtol=1e-5, atol=1e-6)
-    assert jnp.abs(full[0] - rest).min() > 1e-3
-
-
-def test_what_the_data_never_varied_is_not_shown(fast_config, ragged):
-    """Beyond the data's range and half of it more, an entry or a goal changes nothing: a constant one never does."""
-    spaces = replace(ragged.spaces, state_low=(-20.0, -20, 0, 3), state_high=(20.0, 20, 8, 3))
-    (policy,) = runs.policies(
-        runs.RunSpec(None, "", AS_FOUND, "", 0.0, "guider", "fast", (0,), fast_config, spaces),
-        jax.tree.map(lambda leaf: leaf[None], untrained(fast_config, ragged).state),
-    )
-
-    def answer(observation, goal=(1.0, 1.0)):
-        begins = initial_state(policy, 1), jnp.ones(1, bool)
-        return np.asarray(act(policy, jnp.array([observation]), jnp.array([goal]), *begins)[0])
-
-    np.testing.assert_array_equal(answer([0.0, 0, 4, 3]), answer([0.0, 0, 4, 3.05]))
-    np.testing.assert_array_equal(answer([0.0, 0, 12, 3]), answer([0.0, 0, 1e6, 3]))
-    np.testing.assert_array_equal(answer([0.0, 0, 4, 3], (40.0, 0)), answer([0.0, 0, 4, 3], (1e6, 0)))
-    assert np.abs(answer([0.0, 0, 4, 3]) - answer([0.0, 0, 8, 3])).max() > 1e-4
-    assert np.abs(answer([0.0, 0, 4, 3]) - answer([39.0, 0, 4, 3])).max() > 1e-4
-
-
-def test_acting_is_batched_row_by_row(fast_config, ragged):
-    policy = untrained(fast_config, ragged)
-    observations, goals = jnp.asarray(ragged.observations[:6]), jnp.ones((6, 2))
-    together, _ = act(policy, observations, goals, initial_state(policy, 6), jnp.ones(6, bool))
-    for row in range(6):
-        alone, _ = act(policy, observations[row : row + 1], goals[:1], initial_state(policy, 1), jnp.ones(1, bool))
-        np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-5)
-
-
-def test_latent_model_learns_what_is_reachable():
-    """Displacements of +-3 m along one axis: the decoder spans both, the prior covers them, the error is small."""
-    rng = np.random.default_rng(1)
-    way = rng.choice([-3.0, 3.0], 4000)
-    start = rng.uniform(-5, 5, 4000)
-    positions = np.stack([start, start + way], axis=1).reshape(-1, 1)
-    episodes = make_episodes(positions, np.zeros((8000, 1)), [2] * 4000, (0,))
-    config = tiny(guider_config("fast", Problem(0.5, 1.0, period_steps=1)), updates=1500)
-    config = replace(config, latent=replace(config.latent, latent_dim=1, learning_rate=3e-3))
-    data, scale = prepare(config.view, config.problem, episodes)
-    state = init_seeds(lambda key: method.init(config, episodes.spaces, scale, key), (0,))
-    state = jax.tree.map(lambda leaf: leaf[0], train(method.stages(config)[:1], state, data, (0,)))
-    at = jnp.zeros((2, 1))
-    posterior = latent_subgoals.encode(config.latent, state.latent.params, state.scale, at, jnp.array([[-3.0], [3.0]]))
-    decoded = latent_subgoals.decode(config.latent, state.latent.params, state.scale, at, posterior.mean)
-    np.testing.assert_allclose(decoded[:, 0], [-3.0, 3.0], atol=0.3)
-    prior = latent_subgoals.prior(state.latent.params, state.scale, at)
-    assert bool(jnp.all(jnp.abs(posterior.mean - prior.mean) <= 2.5 * jnp.exp(prior.log_std)))
-    assert bool(jnp.all(losses.gaussian_kl(posterior, prior) > 0.2)), "the latent tells the ways apart"
-
-
-def test_in_spreads_the_latent_loss_does_not_depend_on_the_goal_units():
-    config = LatentSubgoalsConfig(hidden=(8,), decoder_dropout=0.0, relative=True, error_in_spreads=True)
-    params = latent_subgoals.init(jax.random.key(0), config, 2, 2).params
-    achieved, later = jax.random.normal(jax.random.key(1), (2, 16, 2))
-
-    def loss(config, unit):
-        ones = unit * jnp.ones(2)
-        scale = plain_scale()._replace(goal_std=ones, step_std=0.3 * ones)
-        return latent_subgoals.loss(config, params, scale, Windows(unit * achieved, unit * later), jax.random.key(2))[0]
-
-    assert jnp.allclose(loss(config, 1.0), loss(config, 100.0), rtol=1e-5)
-    in_units = replace(config, error_in_spreads=False)
-    assert loss(in_units, 100.0) > 100 * loss(in_units, 1.0)
