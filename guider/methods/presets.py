@@ -1,5 +1,6 @@
 """The two presets. `paper` is the equations and the authors' settings with the fixes named in the methods' files.
-`fast` departs from it by settings of their own: those below, and FAST in the method's file and its learner's."""
+`fast` departs from it by settings of their own: those below, FAST in the method's file (Guider's: guider_fast.py)
+and its learner's."""
 
 from __future__ import annotations
 
