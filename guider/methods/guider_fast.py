@@ -54,7 +54,6 @@ FAST_IN_DOMAIN: ByDomain = {
         "high.updates": 3_000,
         "high.relabel_fraction": 0.5,
         "high.random_goal_fraction": 0.0,
-        "low.updates": 20_000,
         "low.subgoal_slack_steps": 30,
         "low.relabel_fraction": 0.0,
     },
