@@ -79,24 +79,27 @@ def act(config: AwrConfig, state: AwrState, inputs: jax.Array) -> jax.Array:
     return jnp.clip(gaussian_head(mlp(state.params.actor, inputs)).mean, -1.0, 1.0)
 
 
-def _sample(config: AwrConfig, actor: Layers, inputs: jax.Array, key: jax.Array) -> jax.Array:
-    """An action of pi_l(a | s, g), [B, A]: of `gaussian` a sample, of `tanh` the only one."""
+def _sample(config: AwrConfig, actor: Layers, inputs: jax.Array, key: jax.Array, learning: bool) -> jax.Array:
+    """An action of pi_l(a | s, g), [B, A]: of `gaussian` a sample, of `tanh` the only one. learning: with dropout."""
+    dropout = config.regression.dropout if learning else 0.0
+    outputs = mlp(actor, inputs, dropout=dropout, key=key)
     if config.policy == "tanh":
-        return most_likely(actor, inputs)
-    return gaussian_head(mlp(actor, inputs)).sample(key)
+        return jnp.tanh(outputs)
+    return gaussian_head(outputs).sample(jax.random.fold_in(key, len(actor)))  # dropout folds in less
 
 
 def update(
     config: AwrConfig, state: AwrState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[AwrState, Metrics]:
-    """One step of Algorithm 1, lines 17-18. `key` is for samples of a Gaussian policy.
+    """One step of Algorithm 1, lines 17-18. `key` is for dropout and for samples of a Gaussian policy.
 
     Critic: TD error towards r + gamma * min Q(s', pi_l(s')), sum over the twins. Actor: Eq. 6, with A as `advantage`
     says, its gradient through log pi_l alone.
     """
     old = state.params
-    next_key, key = jax.random.split(key)
-    next_action = _sample(config, old.actor, batch.next_state, next_key)
+    next_action = _sample(
+        config, old.actor, batch.next_state, jax.random.fold_in(key, len(old.actor) + 1), learning=False
+    )
     next_value = twin_values(state.target_critic, batch.next_state, next_action).min(axis=0)
     target = losses.td_target(batch.reward, next_value, config.discount)
     first = jax.tree.map(lambda leaf: leaf[:1], old.critic)
@@ -105,7 +108,7 @@ def update(
     def loss(params: Params) -> tuple[jax.Array, Metrics]:
         values = twin_values(params.critic, batch.state, batch.action)
         td = ((values - target) ** 2).mean(axis=-1).sum()
-        predicted = _sample(config, params.actor, batch.state, key)
+        predicted = _sample(config, params.actor, batch.state, key, learning=True)
         if config.advantage == "one_step":
             advantage = ahead - twin_values(first, batch.state, predicted)[0]
         else:

@@ -97,7 +97,8 @@ def squashed_sample(policy: Gaussian, key: jax.Array, count: int) -> tuple[jax.A
 def update(
     config: CqlConfig, state: CqlState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[CqlState, Metrics]:
-    """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A). `key` is for samples."""
+    """One step of critic, actor and entropy temperature alpha (tuned to an entropy of -A). `key` is for samples and
+    dropout."""
     uniform_key, next_key, now_key, actor_key = jax.random.split(key, 4)
     old = state.params
     action_dim = batch.action.shape[-1]
@@ -122,7 +123,8 @@ def update(
         alpha = jnp.exp(params.log_alpha)
         actor = (jax.lax.stop_gradient(alpha) * density - value).mean()
         temperature = -params.log_alpha * jax.lax.stop_gradient(density.mean() - action_dim)
-        cloned = jnp.tanh(gaussian_head(mlp(params.actor, batch.state)).mean)
+        dropout, dropout_key = config.regression.dropout, jax.random.fold_in(key, len(old.actor))
+        cloned = jnp.tanh(gaussian_head(mlp(params.actor, batch.state, dropout=dropout, key=dropout_key)).mean)
         cloning, error_metrics = regress(config.regression, jnp.ones_like(batch.reward), cloned, batch.action)
         metrics = {
             "td_error": td,

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, regress
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import Transitions
 from guider.learning.networks import Layers, mlp_init
 from guider.learning.optimisers import Moments, Rate, adam_init, adam_step
@@ -53,10 +53,10 @@ def act(config: GcslConfig, state: GcslState, inputs: jax.Array) -> jax.Array:
 def update(
     config: GcslConfig, state: GcslState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[GcslState, Metrics]:
-    """One step on the log-likelihood of the logged actions (a Gaussian of fixed spread)."""
+    """One step on the log-likelihood of the logged actions (a Gaussian of fixed spread). `key` is for dropout."""
 
     def loss(params: Layers) -> tuple[jax.Array, Metrics]:
-        predicted = most_likely(params, batch.state)
+        predicted = predict(config.regression, params, batch.state, key)
         weight = jnp.ones_like(batch.reward)
         return regress(config.regression, weight, predicted, batch.action)
 

@@ -1,6 +1,6 @@
 """Implicit Q-learning (Kostrikov et al. 2022), conditioned on goals: no action is asked for that the data lacks.
 
-Where the authors' code and this file differ: the policy has a fixed spread, no dropout, and no cosine rate in `paper`;
+Where the authors' code and this file differ: the policy has a fixed spread, and no dropout or cosine rate in `paper`;
 the Bellman target stops at a met goal; V, Q and policy step together; networks start as PyTorch's do; three layers of
 256, where theirs are two, as for all flat methods here.
 """
@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import jax
 
-from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, regress
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import LONG, Transitions
 from guider.learning import losses
 from guider.learning.networks import Layers, mlp, mlp_init, twin_init, twin_values
@@ -78,7 +78,7 @@ def update(
     config: IqlConfig, state: IqlState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[IqlState, Metrics]:
     """One step of V (expectile of Q over logged actions), Q (towards r + gamma V(s', g)) and the policy (regression
-    weighted by exp(A / temperature), A = Q - V)."""
+    weighted by exp(A / temperature), A = Q - V). `key` is for dropout."""
     old = state.params
     target = losses.td_target(batch.reward, mlp(old.value, batch.next_state)[..., 0], config.discount)
     logged = twin_values(state.target_critic, batch.state, batch.action).min(axis=0)
@@ -90,7 +90,7 @@ def update(
         expectile = losses.expectile_loss(error, config.expectile).mean()
         advantage = jax.lax.stop_gradient(error)
         weight = losses.advantage_weight(advantage, config.temperature, config.weight_ceiling)
-        predicted = most_likely(params.actor, batch.state)
+        predicted = predict(config.regression, params.actor, batch.state, key)
         regression, error_metrics = regress(config.regression, weight, predicted, batch.action)
         metrics = {
             "td_error": td,

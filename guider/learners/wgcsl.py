@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, regress
+from guider.learners.regression import FROM_DEMONSTRATIONS, RegressionConfig, most_likely, predict, regress
 from guider.learners.types import LONG, Transitions
 from guider.learning import losses
 from guider.learning.networks import Layers, mlp_init, twin_init, twin_values
@@ -120,7 +120,7 @@ def weights(config: WgcslConfig, advantage: jax.Array, steps: jax.Array, thresho
 def update(
     config: WgcslConfig, state: WgcslState, batch: Transitions, key: jax.Array, rate: Rate
 ) -> tuple[WgcslState, Metrics]:
-    """One step of critic and policy.
+    """One step of critic and policy. `key` is for dropout.
 
     Rewards are 1 where the goal is met after the step, else 0, and do not end the episode; targets are clipped to
     +-1 / (1 - gamma). Targets are of the trailing policy and critic, advantages of those that learn.
@@ -146,7 +146,7 @@ def update(
     def loss(params: Params) -> tuple[jax.Array, Metrics]:
         values = twin_values(params.critic, batch.state, batch.action)
         td = ((values - target) ** 2).mean(axis=-1).sum()
-        predicted = most_likely(params.actor, batch.state)
+        predicted = predict(config.regression, params.actor, batch.state, key)
         regression, error_metrics = regress(config.regression, weight, predicted, batch.action)
         metrics = {
             "td_error": td,

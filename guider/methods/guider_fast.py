@@ -33,6 +33,13 @@ FAST_IN_DOMAIN: ByDomain = {
     "pointmaze": _IN_METRES,
     # A point that goes where its action says is soon learned.
     "ogbench-pointmaze": {"low.updates": 10_000},
+    # What was done to a cube soon after says what it was done for; a cube that c steps may bring home goes home.
+    "ogbench-cube": {
+        "view.position_waves": 0,
+        "final_goal_within_reach": True,
+        "low.relabel_fraction": 1.0,
+        "low.random_goal_fraction": 0.0,
+    },
     # Buttons are on or off, and what one press did, the next does too.
     "ogbench-puzzle": {
         "view.position_waves": 0,

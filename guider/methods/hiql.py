@@ -147,8 +147,8 @@ def place_of(scale: Scale, achieved: jax.Array, z: jax.Array) -> jax.Array:
     return achieved + z * scale.step_std
 
 
-def _actor(params: Layers, inputs: jax.Array) -> jax.Array:
-    return mlp(params, inputs, jax.nn.gelu)
+def _actor(params: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> jax.Array:
+    return mlp(params, inputs, jax.nn.gelu, dropout, key)
 
 
 def _regression(
@@ -165,31 +165,31 @@ def _regression(
 
 
 def high_loss(
-    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
     """Regression of pi_h(s, g) on z of s_{t+k} (`name_subgoal`), weighted by exp(A / temperature),
     A = V(s_{t+k}, g) - V(s, g).
 
-    A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there.
+    A goal nearer than k steps is its own subgoal: the sampler's row ahead ends there. `key` is for dropout.
     """
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.goal).mean(axis=0)
     end = values(config, value, scale, batch.ahead_observation, batch.ahead, batch.goal).mean(axis=0)
     target = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
     seen = goal_inputs(config, scale, batch.observation, batch.achieved, batch.goal)
-    predicted = _actor(params, seen)
+    predicted = _actor(params, seen, config.high.regression.dropout, key)
     return _regression(config.high, end - begin, predicted, target)
 
 
 def low_loss(
-    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch
+    config: HiqlConfig, params: Layers, value: ValueParams, scale: Scale, batch: WaypointBatch, key: jax.Array
 ) -> tuple[jax.Array, Metrics]:
     """Regression of pi_l(s, z) on the logged action, z that of s_{t+k}, weighted by exp(A / temperature),
-    A = V(s', s_{t+k}) - V(s, s_{t+k})."""
+    A = V(s', s_{t+k}) - V(s, s_{t+k}). `key` is for dropout."""
     begin = values(config, value, scale, batch.observation, batch.achieved, batch.ahead).mean(axis=0)
     end = values(config, value, scale, batch.next_observation, batch.next_achieved, batch.ahead).mean(axis=0)
     z = name_subgoal(config, value, scale, batch.observation, batch.achieved, batch.ahead)
     seen = control_inputs(scale, batch.observation, batch.achieved, z)
-    predicted = _bounded(config, _actor(params, seen))
+    predicted = _bounded(config, _actor(params, seen, config.low.regression.dropout, key))
     return _regression(config.low, end - begin, predicted, batch.action)
 
 
@@ -224,15 +224,23 @@ def stages(config: HiqlConfig) -> tuple[Stage, ...]:
         return ActorState(*adam_step(rate, old.params, gradients, old.optimiser)), metrics
 
     def update_high(state: HiqlState, data: Data, key: jax.Array):
+        sample_key, dropout_key = jax.random.split(key)
         settings, value = config.high, state.value.params
-        batch = sample_waypoints(data, key, settings.batch_size, config.subgoal_steps, config.random_goal_fraction)
-        return actor_update(settings, state.high, lambda params: high_loss(config, params, value, state.scale, batch))
+        batch = sample_waypoints(
+            data, sample_key, settings.batch_size, config.subgoal_steps, config.random_goal_fraction
+        )
+        return actor_update(
+            settings, state.high, lambda params: high_loss(config, params, value, state.scale, batch, dropout_key)
+        )
 
     def update_low(state: HiqlState, data: Data, key: jax.Array):
+        sample_key, dropout_key = jax.random.split(key)
         settings, value = config.low, state.value.params
         # No goal ends the way to s_{t+k} early.
-        batch = sample_waypoints(data, key, settings.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
-        return actor_update(settings, state.low, lambda params: low_loss(config, params, value, state.scale, batch))
+        batch = sample_waypoints(data, sample_key, settings.batch_size, config.subgoal_steps, random_goal_fraction=1.0)
+        return actor_update(
+            settings, state.low, lambda params: low_loss(config, params, value, state.scale, batch, dropout_key)
+        )
 
     return (
         Stage("value", "value", config.value.updates, update_value),

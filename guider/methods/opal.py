@@ -154,9 +154,9 @@ def decode(params: SkillParams, scale: Scale, observation: jax.Array, latent: ja
     return _actions(params.decoder, decoder_inputs(scale, observation, latent)).mean
 
 
-def _actions(decoder: Layers, inputs: jax.Array) -> Gaussian:
+def _actions(decoder: Layers, inputs: jax.Array, dropout: float = 0.0, key: jax.Array | None = None) -> Gaussian:
     """pi(a | s, z): a mean within the bounds, and a spread of its own everywhere."""
-    mean, log_std = gaussian_head(mlp(decoder, inputs))
+    mean, log_std = gaussian_head(mlp(decoder, inputs, dropout=dropout, key=key))
     return Gaussian(jnp.tanh(mean), log_std)
 
 
@@ -173,10 +173,11 @@ def skills_loss(
     The decoder is a Gaussian of learned mean and spread (or a Laplace distribution, see `regression`); -log pi is
     summed over action dimensions and the window's steps within the episode, the KL over latent dimensions, all in nats.
     """
+    sample_key, dropout_key = jax.random.split(key)
     posterior = encode(config, params, scale, window)
-    latent = jnp.repeat(posterior.sample(key)[:, None], window.valid.shape[1], axis=1)
+    latent = jnp.repeat(posterior.sample(sample_key)[:, None], window.valid.shape[1], axis=1)
     seen = decoder_inputs(scale, window.observations, latent)
-    policy = _actions(params.decoder, seen)
+    policy = _actions(params.decoder, seen, config.regression.dropout, dropout_key)
     surprise = losses.surprise(policy, window.actions, config.regression.error)
     missing = jnp.where(window.valid, surprise, 0.0).sum(axis=-1)
     kl = losses.gaussian_kl(posterior, prior(params, scale, window.observations[:, 0])).sum(axis=-1)

@@ -113,6 +113,7 @@ def _cube_tasks(name: str, cubes: int, kind: TableKind, horizon_steps: int, epis
         goal=cubes_goal,
         places=cube_places,
         horizon_steps=horizon_steps,
+        period_steps=100,  # to fetch a cube and set it down takes some 60
         data=Data(PlayAtTable(kind, 0.1 if kind == "noisy" else 0.0), episodes, 1_001),
     )
 

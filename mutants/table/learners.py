@@ -22,6 +22,7 @@ TABLE: Table = {
         (" ** 2).mean(axis=-1).sum()", " ** 2).mean()", _AWR),
     ],
     "guider/learners/regression.py": [
+        ("dropout=config.dropout, key=key", "dropout=0.0, key=key", "learners/test_learners.py"),
         (
             "regression(weight, predicted, action, config.error)",
             'regression(weight, predicted, action, "squared")',

@@ -13,6 +13,7 @@ from conftest import make_ragged
 
 from guider.data.episodes import make_episodes
 from guider.learners import CqlConfig, GcslConfig, IqlConfig, Transitions, WgcslConfig, cql, gcsl, iql, learner, wgcsl
+from guider.learners.regression import RegressionConfig
 from guider.learning.networks import Gaussian
 from guider.learning.problem import Problem
 from guider.learning.samplers import FlatBatch, sample_flat
@@ -57,6 +58,16 @@ def test_gcsl_regresses_the_logged_actions():
     assert float(metrics["action_error"]) == pytest.approx(float((batch.action**2).mean()), rel=1e-6)
     moved = np.asarray(state.params[-1][1])
     np.testing.assert_allclose(moved, RATE * np.sign(np.asarray(batch.action).mean(axis=0)), rtol=1e-4)
+
+
+def test_dropout_is_for_learning_only():
+    config = GcslConfig(regression=RegressionConfig(dropout=0.5))
+    state, batch = gcsl.init(jax.random.key(0), config, (64,), 3, 2), batch_of()
+    errors = [updated(gcsl, config, state, batch, jax.random.key(k), RATE)[1]["action_error"] for k in (1, 2)]
+    assert errors[0] != errors[1]
+    kept = jax.nn.relu(batch.state @ state.params[0][0] + state.params[0][1])
+    expected = jnp.tanh(kept @ state.params[1][0] + state.params[1][1])
+    np.testing.assert_allclose(gcsl.act(config, state, batch.state), expected, rtol=1e-5)
 
 
 def test_wgcsl_weights_by_hand():

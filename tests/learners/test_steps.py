@@ -84,7 +84,10 @@ def test_awr_as_in_paper():
     """Eq. 6 as the authors have it: samples of a Gaussian are regressed, A looks one step ahead, by critic 1."""
     learned = Learned(awr, AwrConfig(temperature=0.8, weight_ceiling=1.1))
     b, old, target_critic = learned.b, learned.old, plain(learned.state.target_critic)
-    next_noise, noise = (np.asarray(jax.random.normal(key, (ROWS, ACTIONS))) for key in jax.random.split(learned.key))
+    count = len(old.actor)
+    ahead_key = jax.random.fold_in(jax.random.fold_in(learned.key, count + 1), count)
+    next_noise = np.asarray(jax.random.normal(ahead_key, (ROWS, ACTIONS)))
+    noise = np.asarray(jax.random.normal(jax.random.fold_in(learned.key, count), (ROWS, ACTIONS)))
 
     def action(params, state, noise):
         mean, std = ref.gaussian(ref.mlp(params.actor, state))

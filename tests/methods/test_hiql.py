@@ -157,7 +157,7 @@ def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen, counted):
     monkeypatch.setattr(method, "values", values)
     batch, params = waypoint_batch(), getattr(state, level).params
     loss_of = {"high": method.high_loss, "low": method.low_loss}[level]
-    loss, metrics = loss_of(config, params, state.value.params, unit(), batch)
+    loss, metrics = loss_of(config, params, state.value.params, unit(), batch, jax.random.key(0))
     assert asked == seen
     z = goal_value.represent(config, state.value.params, unit(), batch.observation, batch.achieved, batch.ahead)
     if level == "high":
@@ -169,6 +169,19 @@ def test_each_level_weighs_its_own_advantage(monkeypatch, level, seen, counted):
     assert float(metrics["weight"]) == pytest.approx(weight, rel=1e-5)
     mean = jnp.mean(error**2 if counted == "squared" else jnp.abs(error))
     assert float(loss) == pytest.approx(weight * float(mean), rel=1e-5)
+
+
+def test_dropout_is_of_the_level_it_is_set_for():
+    config = small({"low.regression.dropout": 0.5})
+    state, batch = fresh(config), waypoint_batch()
+    for loss_of, params, alike in (
+        (method.high_loss, state.high.params, True),
+        (method.low_loss, state.low.params, False),
+    ):
+        first, second = (
+            loss_of(config, params, state.value.params, unit(), batch, jax.random.key(k))[0] for k in (1, 2)
+        )
+        assert (float(first) == float(second)) is alike
 
 
 def test_waypoints_lie_k_steps_ahead_or_at_a_nearer_goal():

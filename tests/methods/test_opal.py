@@ -147,6 +147,17 @@ def test_the_spread_of_actions_is_learned():
     assert loss(1.0, -1.0) > loss(1.0, 0.0) and loss(0.1, -1.0) < loss(0.1, 0.0)
 
 
+@pytest.mark.parametrize(("dropout", "alike"), [(0.0, True), (0.5, False)])
+def test_dropout_is_of_the_decoder_while_learning(dropout, alike):
+    """With a decoder blind to z, the loss differs between keys by dropout alone."""
+    config = small({"skills.regression.dropout": dropout})
+    params = fresh(config).skills.params
+    (weight, bias), *rest = params.decoder
+    params = params._replace(decoder=((weight.at[4:].set(0.0), bias), *rest))
+    seen = [method.skills_loss(config.skills, params, unit(), window(), jax.random.key(k))[0] for k in (1, 2)]
+    assert (float(seen[0]) == float(seen[1])) is alike
+
+
 def test_high_transitions_by_hand():
     """z is drawn from the window's posterior; the goal is met or not where the window ends, whatever lies between."""
     config = small({})
