@@ -23,6 +23,7 @@ from guider.evaluation.rollouts import success_interval
 from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import preset_config
+from guider.reproduce.paper import TABLE_1, TABLE_1_METHODS
 from guider.reproduce.scores import training_minutes
 from guider.support.config import differences
 from guider.support.files import parse_json, write_json, write_text
@@ -138,6 +139,28 @@ def ogbench(store: Path) -> list[dict[str, str]]:
     return rows
 
 
+def kitchen(store: Path) -> list[dict[str, str]]:
+    """A row per kitchen and method, by column, of the runs METHOD-fast-DATASEED; and what the paper prints of it."""
+    rows = []
+    for file in sorted(store.glob("kitchen-*/*.json")):
+        task, result = file.parent.name, parse_json(file)
+        low, high = result["interval_95"]
+        printed = TABLE_1[task][TABLE_1_METHODS.index(result["method"])]
+        rows.append(
+            {
+                "task": task,
+                "run": file.stem,
+                "subtasks done, %, of each training seed": ", ".join(
+                    f"{seed['score']:g}" for seed in result["per_seed"]
+                ),
+                "mean (95 %)": f"**{result['score']:.1f}** ({low:.1f} to {high:.1f})",
+                "the paper, on its data": "-" if printed is None else f"{printed[0]} ± {printed[1]}",
+                "training, both seeds": f"{result['training_minutes']:.0f} min",
+            }
+        )
+    return rows
+
+
 def markdown(rows: Sequence[Row], columns: Sequence[str] = ()) -> str:
     """The table, of these columns or all, and the commands of its last run."""
     table = grid([row.cells() for row in rows], columns)
@@ -168,7 +191,8 @@ def tables(store: Path = STORE) -> dict[str, str]:
     """Every table that there are results for, by name."""
     made = {name: (antmaze(store, variant, data), columns) for name, (variant, data, columns) in TABLES.items()}
     found = {name: markdown(rows, columns) for name, (rows, columns) in made.items() if rows}
-    return found | ({"ogbench": grid(rows)} if (rows := ogbench(store)) else {})
+    grids = {"ogbench": ogbench(store), "kitchen": kitchen(store)}
+    return found | {name: grid(rows) for name, rows in grids.items() if rows}
 
 
 def filled(document: str, made: dict[str, str]) -> str:
