@@ -23,7 +23,8 @@ from guider.evaluation.rollouts import success_interval
 from guider.learning.options import Preset
 from guider.learning.problem import Problem
 from guider.methods import preset_config
-from guider.reproduce.paper import TABLE_1, TABLE_1_METHODS
+from guider.reproduce.paper import from_table_1
+from guider.reproduce.report import paper_text
 from guider.reproduce.scores import training_minutes
 from guider.support.config import differences
 from guider.support.files import parse_json, write_json, write_text
@@ -145,7 +146,6 @@ def kitchen(store: Path) -> list[dict[str, str]]:
     for file in sorted(store.glob("kitchen-*/*.json")):
         task, result = file.parent.name, parse_json(file)
         low, high = result["interval_95"]
-        printed = TABLE_1[task][TABLE_1_METHODS.index(result["method"])]
         rows.append(
             {
                 "task": task,
@@ -154,7 +154,7 @@ def kitchen(store: Path) -> list[dict[str, str]]:
                     f"{seed['score']:g}" for seed in result["per_seed"]
                 ),
                 "mean (95 %)": f"**{result['score']:.1f}** ({low:.1f} to {high:.1f})",
-                "the paper, on its data": "-" if printed is None else f"{printed[0]} ± {printed[1]}",
+                "the paper, on its data": paper_text(from_table_1(task, result["method"])),
                 "training, both seeds": f"{result['training_minutes']:.0f} min",
             }
         )

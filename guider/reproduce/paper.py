@@ -32,6 +32,12 @@ TABLE_1: dict[str, tuple[PaperScore, ...]] = {
     "kitchen-mixed": ((64.6, 1.8), (56.2, 5.4), (49.6, 2.9), (23.5, 1.1), (67.1, 5.8)),
 }
 
+
+def from_table_1(task: str, method: str) -> PaperScore:
+    """What Table 1 prints for it; None for methods that it has not."""
+    return dict(zip(TABLE_1_METHODS, TABLE_1[task], strict=True)).get(method)
+
+
 # Guider, without the prior, without CQL.
 TABLE_2: dict[str, tuple[PaperScore, ...]] = {
     "antmaze-large-diverse": ((80.8, 4.6), (57.0, 11.3), (78.5, 11.4)),

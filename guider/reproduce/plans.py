@@ -75,9 +75,7 @@ _LOW_LEVELS = ("gcsl", "guider-gcsl", "wgcsl", "guider-wgcsl", "cql-her", "guide
 
 
 def _from_table_1(task: str, variants: Sequence[Variant]) -> tuple[PaperScore, ...]:
-    """What Table 1 prints for them; None for methods that it has not."""
-    printed = dict(zip(paper.TABLE_1_METHODS, paper.TABLE_1[task], strict=True))
-    return tuple(printed.get(variant.name) for variant in variants)
+    return tuple(paper.from_table_1(task, variant.name) for variant in variants)
 
 
 def _figure(

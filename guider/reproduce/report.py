@@ -90,10 +90,10 @@ def _unfinished(plan: Plan, grid: Grid) -> list[dict[str, Any]]:
 
 def _cell_text(cell: dict[str, Any]) -> str:
     ours = f"**{cell['mean']:.1f}** ± {cell['deviation']:.1f}" if "mean" in cell else "-"
-    return f"{ours} ({_paper_text(cell['paper'])})"
+    return f"{ours} ({paper_text(cell['paper'])})"
 
 
-def _paper_text(paper: PaperScore) -> str:
+def paper_text(paper: PaperScore) -> str:
     if paper is None:
         return "-"
     mean, deviation = paper
