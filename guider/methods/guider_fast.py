@@ -24,6 +24,7 @@ _OWN: Changes = {
 episode ends says what its driver meant by each action: among goals from anywhere that is lost, and of places that were
 passed by at speed it is learned to pass goals by. A subgoal means to be there in c steps, to both levels and at every
 step: of nearer ones the low level learns no pace but its driver's."""
+_TABLE: Changes = {"view.position_waves": 0, "low.relabel_fraction": 1.0, "low.random_goal_fraction": 0.0}
 _IN_METRES: Changes = {"latent.error_in_spreads": False, "latent.beta": 1.0}
 FAST_IN_DOMAIN: ByDomain = {
     None: _OWN,
@@ -34,19 +35,9 @@ FAST_IN_DOMAIN: ByDomain = {
     # A point that goes where its action says is soon learned.
     "ogbench-pointmaze": {"low.updates": 10_000},
     # What was done to a cube soon after says what it was done for; a cube that c steps may bring home goes home.
-    "ogbench-cube": {
-        "view.position_waves": 0,
-        "final_goal_within_reach": True,
-        "low.relabel_fraction": 1.0,
-        "low.random_goal_fraction": 0.0,
-    },
+    "ogbench-cube": _TABLE | {"final_goal_within_reach": True},
     # Buttons are on or off, and what one press did, the next does too.
-    "ogbench-puzzle": {
-        "view.position_waves": 0,
-        "routes.crossings": 1,
-        "low.relabel_fraction": 1.0,
-        "low.random_goal_fraction": 0.0,
-    },
+    "ogbench-puzzle": _TABLE | {"routes.crossings": 1},
     # Recorded goals lie far off in random episodes too, and would set them beside the experts'. An object moves within
     # c steps only once the hand is there: with the slack, where it shall go is a subgoal on the way there too. Sized
     # for the tasks' 40,000 episodes: a tenth of them is learned by heart, and wants 8,000 updates.
