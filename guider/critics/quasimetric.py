@@ -78,12 +78,16 @@ def interval_distance(config: QuasimetricConfig, mean_share: jax.Array, start: j
     """The interval quasimetric embedding (Wang & Isola 2022): of each component, the length of the union of the
     intervals [start_i, end_i] that go up; then between their mean and their greatest. [..., Z] each -> [...]."""
     start, end = (x.reshape(*x.shape[:-1], -1, config.intervals) for x in (start, end))
-    order = jnp.argsort(start, axis=-1)
-    start, end = jnp.take_along_axis(start, order, axis=-1), jnp.take_along_axis(end, order, axis=-1)
-    # From left to right, an interval adds what of it lies beyond all before it.
-    reached = jax.lax.cummax(end, axis=end.ndim - 1)
-    before = jnp.concatenate([start[..., :1], reached[..., :-1]], axis=-1)
-    components = jnp.maximum(end - jnp.maximum(start, before), 0.0).sum(axis=-1)
+    # A union's length is the sum of its right ends minus that of its left ends: those that no other interval covers. Of
+    # equal ones the first counts. Which they are changes nowhere but in steps, so gradients leave it alone.
+    rises = end > start
+    index = jnp.arange(config.intervals)
+    earlier, others = index < index[:, None], rises[..., None, :]
+    a, b, other_a, other_b = start[..., None], end[..., None], start[..., None, :], end[..., None, :]
+    covered_left = others & ((other_a < a) & (a <= other_b) | (other_a == a) & earlier)
+    covered_right = others & ((other_a <= b) & (b < other_b) | (other_b == b) & earlier)
+    begins, ends = rises & ~covered_left.any(axis=-1), rises & ~covered_right.any(axis=-1)
+    components = (jnp.where(ends, end, 0.0) - jnp.where(begins, start, 0.0)).sum(axis=-1)
     share = jax.nn.sigmoid(mean_share)
     return share * components.mean(axis=-1) + (1 - share) * components.max(axis=-1)
 

@@ -33,9 +33,10 @@ TABLE: Table = {
         ("(phi * psi).sum(axis=-1).min", "(phi * psi).sum(axis=-1).max", _CONTRASTIVE),
     ],
     "guider/critics/quasimetric.py": [
-        ("order = jnp.argsort(start, axis=-1)", "order = jnp.argsort(end, axis=-1)", _INTERVALS),
+        ("(other_a < a) & (a <= other_b)", "(other_a < a)", _INTERVALS),
+        ("(other_b == b) & earlier", "False", _INTERVALS),
         ("share * components.mean", "(1 - share) * components.mean", _INTERVALS),
-        ("end - jnp.maximum(start, before)", "end - start", _INTERVALS),
+        ("begins, ends = rises & ~", "begins, ends = ~", _INTERVALS),
         ("next_state) - 1) ** 2", "next_state)) ** 2", _QUASIMETRIC),
         ("+ distance(state, place) ** 2", "", _QUASIMETRIC),
         (

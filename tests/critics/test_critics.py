@@ -180,8 +180,11 @@ def test_an_interval_quasimetric_is_the_length_of_unions_and_a_quasimetric():
     assert np.all(distance(x, z) <= distance(x, y) + distance(y, z) + 1e-12)
     assert np.all(distance(x, x) == 0) and np.abs(distance(x, y) - distance(y, x)).max() > 0.1
     one = QuasimetricConfig(representation_dim=3, intervals=3)
-    start, end = jnp.array([[0.0, 1.0, 5.0]]), jnp.array([[2.0, 3.0, 4.0]])  # [0, 2] and [1, 3]; the third goes down
-    assert float(quasimetric.interval_distance(one, jnp.zeros(()), start, end)[0]) == 3.0
+    starts = jnp.array([[0.0, 1.0, 5.0], [0.0, 0.0, 1.0], [0.0, 2.0, 1.0], [0.0, 0.0, 3.0]])
+    # [0, 2] and [1, 3], the third goes down; all end at 2; 2 is where two touch; twice the same, and one apart
+    ends = jnp.array([[2.0, 3.0, 4.0], [2.0, 2.0, 2.0], [2.0, 3.0, 1.0], [2.0, 2.0, 4.0]])
+    lengths = quasimetric.interval_distance(one, jnp.zeros(()), starts, ends)
+    assert lengths.tolist() == [3.0, 2.0, 3.0, 3.0]
 
 
 def test_quasimetric():
