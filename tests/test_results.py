@@ -72,10 +72,12 @@ def test_kitchens_stand_beside_the_papers(tmp_path):
 def test_ogbenchs_rows_stand_beside_the_published_ones(tmp_path):
     folder = tmp_path / "ogbench-pointmaze-giant-stitch-v0"
     folder.mkdir()
-    facts = {"per_goal": [100.0, 50.0], "training_minutes": 12.4}
+    facts = {"method": "guider-routes", "per_goal": [100.0, 50.0], "training_minutes": 12.4}
     write_json(folder / "guider-routes-fast-8.json", result([[100, 100], [100, 0]], "stuck") | facts)
+    rival = result([[0, 0], [100, 0]], "stuck") | facts | {"method": "qrl", "per_goal": [50.0, None]}
+    write_json(folder / "qrl-20k-8.json", rival)
     row = results.tables(tmp_path)["ogbench"].splitlines()[2]
     assert re.sub(r"\(\d.*?;", "(..;", row) == (
         "| pointmaze-giant-stitch | guider-routes-fast-8 **75.0** (..; by goal 100 50; 12 min) | "
-        "0 | 0 | 0 | 50 | 0 | 0 | GCIQL + TTGS 98 |"
+        "0 | 0 | 0 | 50<br>ours: qrl-20k-8 **25.0** (..; by goal 50 -; 12 min) | 0 | 0 | GCIQL + TTGS 98 |"
     )

@@ -122,20 +122,23 @@ def antmaze(store: Path, variant: str, label: str) -> list[Row]:
 
 
 def ogbench(store: Path) -> list[dict[str, str]]:
-    """A row per data set of OGBench's that there are results on, by column: those of ours, and what is published.
-    Raises KeyError where nothing published is known of one."""
+    """A row per data set of OGBench's that there are results on, by column: those of ours, and what is published, with
+    what its method scores here. Raises KeyError where nothing published is known of one."""
     rows = []
     for folder in sorted(store.glob("ogbench-*")):
         name = folder.name.removeprefix("ogbench-").removesuffix("-v0")
         found = {file.stem: parse_json(file) for file in sorted(folder.glob("*.json"))}
-        ours = []
+        ours, theirs = [], dict(zip(METHODS, OGBENCH[name], strict=True))
         for variant, result in found.items():
             scores = np.array([seed["episodes"]["score"] for seed in result["per_seed"]])
             low, high = success_interval(scores > 0)
             minutes = f"{result['training_minutes']:.0f} min"
             goals = " ".join("-" if score is None else f"{score:.0f}" for score in result["per_goal"])
-            ours.append(f"{variant} **{scores.mean():.1f}** ({low:.1f} to {high:.1f}; by goal {goals}; {minutes})")
-        theirs = dict(zip(METHODS, OGBENCH[name], strict=True))
+            entry = f"{variant} **{scores.mean():.1f}** ({low:.1f} to {high:.1f}; by goal {goals}; {minutes})"
+            if (rival := result["method"].upper()) in theirs:
+                theirs[rival] += f"<br>ours: {entry}"
+            else:
+                ours.append(entry)
         rows.append({"data set": name, "ours": "<br>".join(ours)} | theirs)
     return rows
 
