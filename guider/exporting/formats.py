@@ -20,14 +20,14 @@ ABOUT = "guider"
 """Under this name what `about` says stands in the metadata of ONNX and safetensors, as JSON."""
 _OPSET, _IR_VERSION = 18, 10
 
-EXAMPLE = '''"""One step after another of {name}, with onnxruntime and NumPy alone: pip install onnxruntime"""
+EXAMPLE = """# One step after another of {name!a}, with onnxruntime and NumPy alone: pip install onnxruntime
 
 import json
 
 import numpy as np
 import onnxruntime
 
-session = onnxruntime.InferenceSession({name!r})
+session = onnxruntime.InferenceSession({name!a})
 about = json.loads(session.get_modelmeta().custom_metadata_map["guider"])  # what it was trained on, units, bounds
 types = {{"tensor(float)": np.float32, "tensor(int32)": np.int32, "tensor(bool)": bool}}
 memory = {{given.name: np.zeros(given.shape, types[given.type])
@@ -40,7 +40,7 @@ for step in range(10):
     results = dict(zip([output.name for output in session.get_outputs()], session.run(None, given)))
     memory, begins = {{name: results[f"next_{{name}}"] for name in memory}}, False
     print(step, results["action"])  # to the robot
-'''
+"""
 
 
 def write_onnx(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
@@ -66,9 +66,8 @@ def write_onnx(path: Path, policy: Policy, about: dict[str, Any]) -> list[Path]:
     model = helper.make_model(graph, opset_imports=[opset], ir_version=_IR_VERSION, producer_name="guider")
     helper.set_model_props(model, {ABOUT: json.dumps(about)})
     onnx.checker.check_model(model, full_check=True)
-    example = _beside(
-        path, f"{path.stem}_example.py", EXAMPLE.format(name=path.name, goal=", ".join(about["goal_names"]), **about)
-    )
+    named = ", ".join(map(ascii, about["goal_names"]))  # by whoever recorded the data: a name must stay a comment
+    example = _beside(path, f"{path.stem}_example.py", EXAMPLE.format(name=path.name, goal=named, **about))
     files.write_bytes(path, model.SerializeToString())
     return [path, example]
 

@@ -254,3 +254,12 @@ def test_memory_and_outputs_have_the_shapes_of_one_robot():
         "memory_2": (),
     }
     assert list(program.outputs) == ["action", "next_memory_0", "next_memory_1", "next_memory_2", "subgoal"]
+
+
+def test_names_from_data_and_of_files_stay_words_in_the_example(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("onnxruntime")
+    hostile = ABOUT | {"goal_names": ["x\nraise SystemExit('run')  #", 'y"""\u2028raise SystemExit']}
+    export_policy(policy_of("bc"), hostile, tmp_path / 'a"""b.onnx')
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(tmp_path / 'a"""b_example.py'))
+    assert len(capsys.readouterr().out.splitlines()) == 10
