@@ -78,18 +78,22 @@ def interval_distance(config: QuasimetricConfig, mean_share: jax.Array, start: j
     """The interval quasimetric embedding (Wang & Isola 2022): of each component, the length of the union of the
     intervals [start_i, end_i] that go up; then between their mean and their greatest. [..., Z] each -> [...]."""
     start, end = (x.reshape(*x.shape[:-1], -1, config.intervals) for x in (start, end))
-    # A union's length is the sum of its right ends minus that of its left ends: those that no other interval covers. Of
-    # equal ones the first counts. Which they are changes nowhere but in steps, so gradients leave it alone.
-    rises = end > start
-    index = jnp.arange(config.intervals)
-    earlier, others = index < index[:, None], rises[..., None, :]
-    a, b, other_a, other_b = start[..., None], end[..., None], start[..., None, :], end[..., None, :]
-    covered_left = others & ((other_a < a) & (a <= other_b) | (other_a == a) & earlier)
-    covered_right = others & ((other_a <= b) & (b < other_b) | (other_b == b) & earlier)
-    begins, ends = rises & ~covered_left.any(axis=-1), rises & ~covered_right.any(axis=-1)
+    # A union's length is the sum of its right ends minus that of its left ends. Which they are changes nowhere but in
+    # steps, so gradients leave it alone. Seen in a mirror, right ends are left ones.
+    begins, ends = _left_ends(start, end), _left_ends(-end, -start)
     components = (jnp.where(ends, end, 0.0) - jnp.where(begins, start, 0.0)).sum(axis=-1)
     share = jax.nn.sigmoid(mean_share)
     return share * components.mean(axis=-1) + (1 - share) * components.max(axis=-1)
+
+
+def _left_ends(start: jax.Array, end: jax.Array) -> jax.Array:
+    """Whether an interval begins where no other one is: [..., intervals] bool. Of those that begin together the first
+    counts; those that go down are none."""
+    rises, index = end > start, jnp.arange(start.shape[-1])
+    other_start, other_end = start[..., None, :], end[..., None, :]
+    here, earlier = start[..., None], index < index[:, None]
+    covered = rises[..., None, :] & ((other_start < here) & (here <= other_end) | (other_start == here) & earlier)
+    return rises & ~covered.any(axis=-1)
 
 
 def loss(

@@ -33,10 +33,11 @@ TABLE: Table = {
         ("(phi * psi).sum(axis=-1).min", "(phi * psi).sum(axis=-1).max", _CONTRASTIVE),
     ],
     "guider/critics/quasimetric.py": [
-        ("(other_a < a) & (a <= other_b)", "(other_a < a)", _INTERVALS),
-        ("(other_b == b) & earlier", "False", _INTERVALS),
+        ("(other_start < here) & (here <= other_end)", "(other_start < here)", _INTERVALS),
+        ("(other_start == here) & earlier", "False", _INTERVALS),
         ("share * components.mean", "(1 - share) * components.mean", _INTERVALS),
-        ("begins, ends = rises & ~", "begins, ends = ~", _INTERVALS),
+        ("return rises & ~covered", "return ~covered", _INTERVALS),
+        ("_left_ends(-end, -start)", "_left_ends(start, end)", _INTERVALS),
         ("next_state) - 1) ** 2", "next_state)) ** 2", _QUASIMETRIC),
         ("+ distance(state, place) ** 2", "", _QUASIMETRIC),
         (
